@@ -45,6 +45,22 @@ pub struct ShapeEntry {
     pub radius: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<Axis>,
+    /// Semi-axes of an ellipse.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axes: Option<Vec<f64>>,
+    /// Degrees, counter-clockwise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub angle: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radii: Option<Vec<f64>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub chord: Option<f64>,
+    /// The four digits of a NACA section.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub digits: Option<String>,
+    /// A CSV file with the points of a closed line; a loaded scene has the points themselves.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points: Option<Vec<[f64; 2]>>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -57,6 +73,9 @@ pub struct ShapeEntry {
     /// Temperature of a wall; none: adiabatic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<Formula>,
+    /// Heat that a wall gives to the fluid, per time and area.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heat_flux: Option<Formula>,
 }
 
 /// A number of a shape that an optimiser may change, and its limits.
@@ -82,8 +101,14 @@ pub enum Part {
     Upper(usize),
     Centre(usize),
     Radius,
+    /// Semi-axis of an ellipse.
+    Axis(usize),
+    /// Radius of a spline.
+    Radii(usize),
     Point(usize, usize),
     Thickness,
+    Chord,
+    Angle,
 }
 
 impl ShapeNumber {
@@ -94,8 +119,10 @@ impl ShapeNumber {
         let parts = vector(&entry.lower).map(Part::Lower);
         let parts = parts.chain(vector(&entry.upper).map(Part::Upper)).chain(vector(&entry.centre).map(Part::Centre));
         let parts = parts.chain(entry.radius.map(|_| Part::Radius));
+        let parts = parts.chain(vector(&entry.axes).map(Part::Axis)).chain(vector(&entry.radii).map(Part::Radii));
         let parts = parts.chain(points.flat_map(|point| [Part::Point(point, 0), Part::Point(point, 1)]));
-        parts.chain(entry.thickness.map(|_| Part::Thickness)).map(|part| Self { shape, part }).collect()
+        let parts = parts.chain(entry.thickness.map(|_| Part::Thickness)).chain(entry.chord.map(|_| Part::Chord));
+        parts.chain(entry.angle.map(|_| Part::Angle)).map(|part| Self { shape, part }).collect()
     }
 
     pub fn of<'a>(&self, shapes: &'a mut [ShapeEntry]) -> Option<&'a mut f64> {
@@ -105,6 +132,10 @@ impl ShapeNumber {
             Part::Upper(d) => entry.upper.as_mut()?.get_mut(d),
             Part::Centre(d) => entry.centre.as_mut()?.get_mut(d),
             Part::Radius => entry.radius.as_mut(),
+            Part::Axis(k) => entry.axes.as_mut()?.get_mut(k),
+            Part::Radii(k) => entry.radii.as_mut()?.get_mut(k),
+            Part::Chord => entry.chord.as_mut(),
+            Part::Angle => entry.angle.as_mut(),
             Part::Point(point, d) => entry.points.as_mut()?.get_mut(point)?.get_mut(d),
             Part::Thickness => entry.thickness.as_mut(),
         }
@@ -119,6 +150,10 @@ impl std::fmt::Display for ShapeNumber {
             Part::Upper(d) => write!(out, "upper[{d}]"),
             Part::Centre(d) => write!(out, "centre[{d}]"),
             Part::Radius => write!(out, "radius"),
+            Part::Axis(k) => write!(out, "axes[{k}]"),
+            Part::Radii(k) => write!(out, "radii[{k}]"),
+            Part::Chord => write!(out, "chord"),
+            Part::Angle => write!(out, "angle"),
             Part::Point(point, d) => write!(out, "points[{point}][{d}]"),
             Part::Thickness => write!(out, "thickness"),
         }
@@ -139,6 +174,17 @@ pub enum Kind {
     Polyline,
     /// The inside of the closed line through `points` (x, y), along all of z.
     Polygon,
+    /// An ellipse: `centre`, semi-`axes`, `angle`.
+    Ellipse,
+    /// A closed curve around `centre` whose radius over the angle is the periodic cubic spline through `radii`, the first on
+    /// the x axis, counter-clockwise.
+    Spline,
+    /// A closed uniform cubic B-spline with `points` as control points.
+    BSpline,
+    /// A NACA four-digit section: `digits`, `centre` (the middle of its chord), `chord`, `angle`.
+    Naca,
+    /// The closed line through the points of a CSV `file`; when loaded it becomes a polygon.
+    File,
     /// The region where the formula `positive` is above 0.
     Where,
 }
@@ -176,6 +222,11 @@ impl Kind {
             Self::Cylinder => ("cylinder", &["centre", "radius", "axis"]),
             Self::Polyline => ("polyline", &["points", "thickness"]),
             Self::Polygon => ("polygon", &["points"]),
+            Self::Ellipse => ("ellipse", &["centre", "axes", "angle"]),
+            Self::Spline => ("spline", &["centre", "radii"]),
+            Self::BSpline => ("b-spline", &["points"]),
+            Self::Naca => ("naca", &["centre", "digits", "chord", "angle"]),
+            Self::File => ("file", &["file"]),
             Self::Where => ("where", &["positive"]),
         }
     }
@@ -196,7 +247,13 @@ impl ShapeEntry {
                 let wider = lower.iter().zip(upper).map(|(a, b)| short(b.max(a + size)).to_string());
                 Some(format!("upper=[{}]", wider.collect::<Vec<String>>().join(",")))
             }
-            Kind::Polygon | Kind::Where => None,
+            Kind::Polygon
+            | Kind::Where
+            | Kind::Ellipse
+            | Kind::Spline
+            | Kind::BSpline
+            | Kind::Naca
+            | Kind::File => None,
         }
     }
 
@@ -207,8 +264,13 @@ impl ShapeEntry {
         let kind = self.kind;
         let (shown, keys) = kind.facts();
         let given = toml::Table::try_from(self).unwrap_or_default();
-        for name in ["lower", "upper", "centre", "radius", "axis", "points", "thickness", "positive"] {
+        let all = ["lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file", "points"];
+        for name in all.into_iter().chain(["thickness", "positive"]) {
+            // An angle is 0 if it is not given.
             let wanted = keys.contains(&name);
+            if name == "angle" && wanted {
+                continue;
+            }
             if wanted != given.contains_key(name) {
                 let problem = if wanted { "is missing" } else { "has no meaning here" };
                 return Err(bad(name, format!("{problem} (kind = {shown})"))
@@ -225,7 +287,25 @@ impl ShapeEntry {
                 return Err(bad(name, format!("{vector:?}")).allowed(format!("{dimension} finite numbers")));
             }
         }
-        for (name, length) in [("radius", self.radius), ("thickness", self.thickness)] {
+        for (name, vector, least) in [("axes", &self.axes, 2), ("radii", &self.radii, 4)] {
+            let Some(vector) = vector else { continue };
+            let count = if name == "axes" { vector.len() == 2 } else { vector.len() >= least };
+            if !count || vector.iter().any(|x| !(*x > 0.0 && x.is_finite())) {
+                let allowed = if name == "axes" { "two lengths above 0" } else { "at least 4 lengths above 0" };
+                return Err(bad(name, format!("{vector:?}")).allowed(allowed));
+            }
+        }
+        if let Some(angle) = self.angle.filter(|angle| !angle.is_finite()) {
+            return Err(bad("angle", format!("{angle}")).allowed("a finite number of degrees"));
+        }
+        if let Some(digits) = self.digits.as_ref().filter(|d| d.len() != 4 || !d.bytes().all(|d| d.is_ascii_digit())) {
+            return Err(bad("digits", format!("\"{digits}\"")).allowed("four digits, such as \"2412\""));
+        }
+        if dimension == 3 && matches!(kind, Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca | Kind::File) {
+            let problem = format!("{shown} in three dimensions");
+            return Err(bad("kind", problem).allowed("box, disc, cylinder, polyline, polygon or where"));
+        }
+        for (name, length) in [("radius", self.radius), ("thickness", self.thickness), ("chord", self.chord)] {
             if let Some(length) = length.filter(|length| !(*length > 0.0 && length.is_finite())) {
                 return Err(bad(name, format!("{length}")).allowed("a length above 0"));
             }
@@ -236,7 +316,11 @@ impl ShapeEntry {
                     .allowed("upper above lower in each direction"));
             }
         }
-        let least = if kind == Kind::Polygon { 3 } else { 2 };
+        let least = match kind {
+            Kind::Polygon => 3,
+            Kind::BSpline => 4,
+            _ => 2,
+        };
         if let Some(points) = self
             .points
             .as_ref()
@@ -254,16 +338,20 @@ impl ShapeEntry {
             }
             functions(&key("velocity"), velocity, dimension, Formula::function)?;
         }
-        if let Some(temperature) = &self.temperature {
+        for (name, formula) in [("temperature", &self.temperature), ("heat_flux", &self.heat_flux)] {
+            let Some(formula) = formula else { continue };
             if !is_wall {
-                return Err(bad("temperature", "of fluid".into()).allowed("initial.temperature for the fluid's"));
+                return Err(bad(name, "of fluid".into()).allowed("initial.temperature for the fluid's"));
             }
             if !has_heat {
-                return Err(bad("temperature", "in a scene without heat".into())
+                return Err(bad(name, "in a scene without heat".into())
                     .allowed("with initial.temperature, which gives the scene its heat")
                     .advice("initial.temperature=1.0"));
             }
-            temperature.function(&key("temperature"), dimension)?;
+            formula.function(&key(name), dimension)?;
+        }
+        if self.temperature.is_some() && self.heat_flux.is_some() {
+            return Err(bad("heat_flux", "beside a temperature".into()).allowed("one of both"));
         }
         Ok(())
     }

@@ -187,7 +187,7 @@ impl On {
                     }
                 }
             }
-            Kind::Where => return None,
+            Kind::Where | Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca | Kind::File => return None,
         };
         Some(Self { shape, at })
     }

@@ -3,6 +3,7 @@
 use crate::config::custom::{functions, Kind, ShapeEntry};
 use crate::config::formula::{Formula, Function};
 use crate::error::BadInput;
+use crate::sph::cloud::outline::Outline;
 
 /// A shape with parsed formulas.
 pub struct Shape<'a> {
@@ -10,6 +11,10 @@ pub struct Shape<'a> {
     pub positive: Option<Function>,
     pub velocity: Vec<Function>,
     pub temperature: Option<Function>,
+    /// Heat flux of a wall into the fluid.
+    pub heat_flux: Option<Function>,
+    /// A fine polygon, of shapes that are curves.
+    pub polygon: Vec<[f64; 2]>,
 }
 
 impl<'a> Shape<'a> {
@@ -26,6 +31,8 @@ impl<'a> Shape<'a> {
                 None => vec![],
             },
             temperature: one("temperature", &entry.temperature)?,
+            heat_flux: one("heat_flux", &entry.heat_flux)?,
+            polygon: polygon(entry),
         })
     }
 
@@ -49,9 +56,21 @@ impl<'a> Shape<'a> {
                 points.windows(2).any(|ends| distance([p[0], p[1]], ends[0], ends[1]) < half)
             }
             Kind::Polygon => is_inside([p[0], p[1]], points),
+            Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca => is_inside([p[0], p[1]], &self.polygon),
+            Kind::File => false,
             Kind::Where => self.positive.as_ref().is_some_and(|positive| positive.at(p) > 0.0),
         }
     }
+}
+
+/// A shape that is a curve as a polygon whose edges are a few hundredths of its size.
+fn polygon(entry: &ShapeEntry) -> Vec<[f64; 2]> {
+    if !matches!(entry.kind, Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca) {
+        return vec![];
+    }
+    let Some(outline) = Outline::new(entry, 0.0) else { return vec![] };
+    let samples = outline.samples(if entry.kind == Kind::Naca { 1 } else { 12 });
+    outline.points(&samples, &outline.numbers).iter().map(|on| on.place).collect()
 }
 
 /// The distance of a point from the segment between two others.

@@ -92,7 +92,7 @@ impl Walls<'_> {
             }
             for image in &self.images {
                 let place = std::array::from_fn(|d| foot.place[d] + image[d]);
-                let s = of_entry(shape.entry, place, &self.domain).abs();
+                let s = of_entry(shape, place, &self.domain).abs();
                 if s < nearest.0 {
                     nearest = (s, Some((k, place)));
                 }
@@ -107,7 +107,7 @@ impl Walls<'_> {
         if shape.entry.kind == Kind::Where {
             return self.of_formula(shape, p);
         }
-        let of = |image: &[f64; 3]| of_entry(shape.entry, std::array::from_fn(|d| p[d] + image[d]), &self.domain);
+        let of = |image: &[f64; 3]| of_entry(shape, std::array::from_fn(|d| p[d] + image[d]), &self.domain);
         self.images.iter().map(of).fold(f64::INFINITY, f64::min)
     }
 
@@ -262,9 +262,9 @@ impl Cells {
 
 /// The distance from a shape. A box that touches a closed side of the domain, or its own periodic image, has no surface
 /// there.
-fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
+fn of_entry(shape: &Shape, p: [f64; 3], domain: &Domain) -> f64 {
     let dimension = domain.dimension;
-    let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = entry;
+    let ShapeEntry { kind, lower, upper, centre, radius, axis, points, thickness, .. } = shape.entry;
     // A checked configuration has the keys that its kind needs.
     let (lower, upper) = (lower.as_deref().unwrap_or_default(), upper.as_deref().unwrap_or_default());
     let (centre, radius) = (centre.as_deref().unwrap_or_default(), radius.unwrap_or_default());
@@ -302,12 +302,13 @@ fn of_entry(entry: &ShapeEntry, p: [f64; 3], domain: &Domain) -> f64 {
         Kind::Polyline => {
             from_lines(&mut points.windows(2).map(|ends| (ends[0], ends[1]))) - 0.5 * thickness.unwrap_or_default()
         }
-        Kind::Polygon => {
+        Kind::Polygon | Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca => {
+            let points = if *kind == Kind::Polygon { points } else { &shape.polygon };
             let ends = (0..points.len()).map(|k| (points[k], points[(k + 1) % points.len()]));
             let inside = custom_shape::is_inside([p[0], p[1]], points);
             from_lines(&mut ends.into_iter()) * if inside { -1.0 } else { 1.0 }
         }
-        // See `of_formula`.
-        Kind::Where => f64::INFINITY,
+        // See `of_formula`; a file is a polygon when it is loaded.
+        Kind::Where | Kind::File => f64::INFINITY,
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! A [`method::Method`] advances, differentiates and shows a state. [`solver`] runs any method and has no equation
 //! itself.
+pub mod cloud;
 pub mod composed;
 pub mod consistent;
 pub mod divergence;

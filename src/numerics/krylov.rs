@@ -1,0 +1,77 @@
+//! GMRES (Saad and Schultz 1986) with a preconditioner on the right.
+
+/// Solves A x = b to a relative residual, or returns none after `most` products with A.
+///
+/// `times` is the product with A and `precondition` an approximate solution with A.
+pub fn gmres(
+    b: &[f64],
+    tolerance: f64,
+    most: usize,
+    times: &dyn Fn(&[f64]) -> Vec<f64>,
+    precondition: &dyn Fn(&[f64]) -> Vec<f64>,
+) -> Option<Vec<f64>> {
+    let n = b.len();
+    let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let size = norm(b);
+    if size == 0.0 {
+        return Some(vec![0.0; n]);
+    }
+    let mut basis: Vec<Vec<f64>> = vec![b.iter().map(|x| x / size).collect()];
+    let mut directions: Vec<Vec<f64>> = vec![];
+    // Columns of the triangle, the rotations that made them, and the right-hand side under these.
+    let (mut columns, mut rotations, mut right): (Vec<Vec<f64>>, Vec<[f64; 2]>, Vec<f64>) = (vec![], vec![], vec![size]);
+    for k in 0..most {
+        let direction = precondition(&basis[k]);
+        let mut next = times(&direction);
+        directions.push(direction);
+        let mut column = vec![];
+        // Twice, so that the basis is orthogonal to rounding.
+        for round in 0..2 {
+            for (j, known) in basis.iter().enumerate() {
+                let share: f64 = known.iter().zip(&next).map(|(a, b)| a * b).sum();
+                next.iter_mut().zip(known).for_each(|(x, known)| *x -= share * known);
+                match round {
+                    0 => column.push(share),
+                    _ => column[j] += share,
+                }
+            }
+        }
+        let length = norm(&next);
+        for (j, [cos, sin]) in rotations.iter().enumerate() {
+            let (a, b) = (column[j], column[j + 1]);
+            (column[j], column[j + 1]) = (cos * a + sin * b, cos * b - sin * a);
+        }
+        let last = column[k];
+        let whole = last.hypot(length);
+        if whole.is_nan() || whole == 0.0 {
+            return None;
+        }
+        let [cos, sin] = [last / whole, length / whole];
+        column[k] = whole;
+        rotations.push([cos, sin]);
+        columns.push(column);
+        let rest = right[k];
+        right[k] = cos * rest;
+        right.push(-sin * rest);
+        if right[k + 1].abs() <= tolerance * size {
+            let mut shares = right[..=k].to_vec();
+            for row in (0..=k).rev() {
+                for later in row + 1..=k {
+                    shares[row] -= columns[later][row] * shares[later];
+                }
+                shares[row] /= columns[row][row];
+            }
+            let mut x = vec![0.0; n];
+            for (share, direction) in shares.iter().zip(&directions) {
+                x.iter_mut().zip(direction).for_each(|(x, d)| *x += share * d);
+            }
+            return Some(x);
+        }
+        if length < 1e-14 * whole {
+            return None;
+        }
+        next.iter_mut().for_each(|x| *x /= length);
+        basis.push(next);
+    }
+    None
+}

@@ -1,0 +1,585 @@
+//! A direct solver for sparse systems whose graph lies in the plane: multifrontal LU with nested dissection.
+//!
+//! The unknowns come in blocks, one per particle, so that the graph has particles as nodes and is ordered once. Nested
+//! dissection (George 1973) halves the particles along the longer side of their box again and again; those of one half
+//! that have a neighbour in the other separate them and are eliminated last. The graph need not be planar: periodic
+//! neighbours only make separators longer. Every separator is a dense *front* (Duff and Reid 1983): the rows and columns of
+//! its own unknowns and of those that are eliminated later and that its subtree touches,
+//!
+//! ```text
+//!   F = | A B |     P A = L U,   X = L^-1 P B,   Y = C U^-1,   passed on: D - Y X.
+//!       | C D |
+//! ```
+//!
+//! Rows are exchanged within A only, so the structure does not depend on the numbers; what accuracy that costs is
+//! won back by one step of iterative refinement. The order of all sums is fixed, for any number of threads.
+
+use gemm::{gemm, Parallelism};
+
+/// A square sparse matrix of `blocks` x `blocks` dense blocks of `size` x `size`, by rows.
+///
+/// The structure is that of [`Order`] and its values are `[entries, size, size]`, each block row by row.
+#[derive(Debug, Clone, Default)]
+pub struct BlockMatrix {
+    pub size: usize,
+    /// First entry of each block row, and the number of entries.
+    pub first: Vec<usize>,
+    /// Block column of each entry, ascending within a row.
+    pub column: Vec<u32>,
+    pub values: Vec<f64>,
+}
+
+impl BlockMatrix {
+    /// A matrix of zeros with a symmetric structure: the lists `[neighbours of node]`, those that they are in, and the diagonal.
+    pub fn of_lists(nodes: usize, size: usize, lists: impl Fn(usize) -> Vec<u32>) -> Self {
+        let mut rows: Vec<Vec<u32>> = (0..nodes).map(|i| vec![i as u32]).collect();
+        for i in 0..nodes {
+            for j in lists(i) {
+                rows[i].push(j);
+                rows[j as usize].push(i as u32);
+            }
+        }
+        let (mut first, mut column) = (vec![0], vec![]);
+        for row in &mut rows {
+            row.sort_unstable();
+            row.dedup();
+            column.extend_from_slice(row);
+            first.push(column.len());
+        }
+        let values = vec![0.0; column.len() * size * size];
+        Self { size, first, column, values }
+    }
+
+    pub fn nodes(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    /// Number of unknowns.
+    pub fn unknowns(&self) -> usize {
+        self.nodes() * self.size
+    }
+
+    pub fn row(&self, node: usize) -> &[u32] {
+        &self.column[self.first[node]..self.first[node + 1]]
+    }
+
+    /// The entry of a row and column of blocks.
+    ///
+    /// # Panics
+    /// If the structure has no such entry.
+    pub fn entry(&self, row: usize, column: u32) -> usize {
+        self.first[row] + self.row(row).binary_search(&column).expect("an entry of the structure")
+    }
+
+    /// A block, row by row.
+    pub fn block_mut(&mut self, entry: usize) -> &mut [f64] {
+        let area = self.size * self.size;
+        &mut self.values[entry * area..(entry + 1) * area]
+    }
+
+    /// y = A x, or A^T x.
+    pub fn times(&self, x: &[f64], transposed: bool) -> Vec<f64> {
+        let s = self.size;
+        let mut y = vec![0.0; x.len()];
+        for i in 0..self.nodes() {
+            for e in self.first[i]..self.first[i + 1] {
+                let (j, block) = (self.column[e] as usize, &self.values[e * s * s..(e + 1) * s * s]);
+                for a in 0..s {
+                    for b in 0..s {
+                        match transposed {
+                            false => y[i * s + a] += block[a * s + b] * x[j * s + b],
+                            true => y[j * s + b] += block[a * s + b] * x[i * s + a],
+                        }
+                    }
+                }
+            }
+        }
+        y
+    }
+}
+
+/// A front's own nodes and the later ones that it touches, in the order of elimination.
+#[derive(Debug, Clone, Default)]
+struct Front {
+    own: Vec<u32>,
+    later: Vec<u32>,
+    children: Vec<usize>,
+    /// Place in the parent's front of each of `later`.
+    in_parent: Vec<u32>,
+    /// Number of nodes of the whole subtree.
+    weight: usize,
+}
+
+/// The order of elimination of a graph, children before parents.
+#[derive(Debug, Clone)]
+pub struct Order {
+    fronts: Vec<Front>,
+    nodes: usize,
+}
+
+/// Nodes of a part that is not divided further.
+const LEAF: usize = 20;
+/// Nodes of a subtree that is factorised by a thread of its own.
+const OWN_THREAD: usize = 300;
+/// Columns of a panel of a dense factorisation.
+const PANEL: usize = 24;
+
+impl Order {
+    /// Orders the nodes of a symmetric structure by their places in the plane.
+    pub fn new(matrix: &BlockMatrix, place: impl Fn(usize) -> [f64; 2]) -> Self {
+        let nodes = matrix.nodes();
+        let mut order = Self { fronts: vec![], nodes };
+        let mut part = vec![0u32; nodes];
+        order.divide(matrix, &place, (0..nodes as u32).collect(), &mut part, &mut 0);
+        order.link(matrix);
+        order
+    }
+
+    /// Adds the fronts of a set of nodes that only nodes already separated off touch; returns the last one.
+    fn divide(
+        &mut self,
+        matrix: &BlockMatrix,
+        place: &impl Fn(usize) -> [f64; 2],
+        mut nodes: Vec<u32>,
+        part: &mut [u32],
+        mark: &mut u32,
+    ) -> usize {
+        let weight = nodes.len();
+        let (mut own, mut children) = (nodes.clone(), vec![]);
+        if nodes.len() > LEAF {
+            let side = |d: usize| {
+                let range = nodes.iter().map(|&i| place(i as usize)[d]).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+                range.1 - range.0
+            };
+            let d = if side(0) >= side(1) { 0 } else { 1 };
+            let along = |i: &u32| (place(*i as usize)[d], place(*i as usize)[1 - d]);
+            let middle = nodes.len() / 2;
+            nodes.select_nth_unstable_by(middle, |a, b| along(a).partial_cmp(&along(b)).expect("finite places").then(a.cmp(b)));
+            let (low, high) = nodes.split_at_mut(middle);
+            // Of each half the nodes that touch the other; the smaller set separates.
+            let (left, right) = (*mark + 1, *mark + 2);
+            *mark += 2;
+            low.iter().for_each(|&i| part[i as usize] = left);
+            high.iter().for_each(|&i| part[i as usize] = right);
+            let touch = |half: &[u32], other: u32| -> Vec<u32> {
+                half.iter().copied().filter(|&i| matrix.row(i as usize).iter().any(|&j| part[j as usize] == other)).collect()
+            };
+            let (of_low, of_high) = (touch(low, right), touch(high, left));
+            own = if of_low.len() <= of_high.len() { of_low } else { of_high };
+            own.sort_unstable();
+            own.iter().for_each(|&i| part[i as usize] = 0);
+            for half in [low, high] {
+                let mut rest: Vec<u32> = half.iter().copied().filter(|i| own.binary_search(i).is_err()).collect();
+                rest.sort_unstable();
+                if !rest.is_empty() {
+                    children.push(self.divide(matrix, place, rest, part, mark));
+                }
+            }
+        }
+        own.sort_unstable();
+        self.fronts.push(Front { own, children, weight, ..Front::default() });
+        self.fronts.len() - 1
+    }
+
+    /// Finds what each front touches.
+    fn link(&mut self, matrix: &BlockMatrix) {
+        let mut rank = vec![0u32; self.nodes];
+        let mut next = 0;
+        for front in &self.fronts {
+            for &i in &front.own {
+                rank[i as usize] = next;
+                next += 1;
+            }
+        }
+        for k in 0..self.fronts.len() {
+            let front = &self.fronts[k];
+            let last = front.own.last().map_or(0, |&i| rank[i as usize]);
+            let touched = front.own.iter().flat_map(|&i| matrix.row(i as usize)).copied();
+            let passed = front.children.iter().flat_map(|&child| self.fronts[child].later.iter().copied());
+            let mut later: Vec<u32> = touched.chain(passed).filter(|&j| rank[j as usize] > last).collect();
+            later.sort_unstable_by_key(|&j| rank[j as usize]);
+            later.dedup();
+            let children = front.children.clone();
+            let places: Vec<u32> = front.own.iter().chain(&later).copied().collect();
+            for child in children {
+                let at = |j: &u32| places.iter().position(|p| p == j);
+                let mut by_node: Vec<(u32, u32)> = places.iter().enumerate().map(|(k, &p)| (p, k as u32)).collect();
+                by_node.sort_unstable();
+                let find = |j: &u32| {
+                    by_node.binary_search_by_key(j, |&(p, _)| p).map(|k| by_node[k].1).ok().or_else(|| at(j).map(|k| k as u32))
+                };
+                self.fronts[child].in_parent =
+                    self.fronts[child].later.iter().map(|j| find(j).expect("a parent has what its child touches")).collect();
+            }
+            self.fronts[k].later = later;
+        }
+    }
+}
+
+/// The factors of a front, column by column.
+#[derive(Debug, Clone, Default)]
+struct Factor {
+    /// L and U of A, `[p, p]`.
+    lu: Vec<f64>,
+    /// The row that was exchanged with each row.
+    pivots: Vec<u32>,
+    /// X = L^-1 P B, `[p, q]`.
+    upper: Vec<f64>,
+    /// Y = C U^-1, `[q, p]`.
+    lower: Vec<f64>,
+}
+
+/// L and U of a matrix.
+#[derive(Debug)]
+pub struct SparseLu {
+    order: std::sync::Arc<Order>,
+    size: usize,
+    factors: Vec<Factor>,
+}
+
+/// A matrix that has no factors: a pivot vanished.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Singular;
+
+/// C -= A B of columns; `lda`, `ldb`, `ldc`: lengths of their columns.
+#[allow(clippy::too_many_arguments)]
+fn subtract_product(
+    [m, n, k]: [usize; 3],
+    a: (*const f64, usize),
+    b: (*const f64, usize),
+    c: (*mut f64, usize),
+    threads: usize,
+) {
+    if m == 0 || n == 0 || k == 0 {
+        return;
+    }
+    let parallel = if threads > 1 && m * n * k > 1 << 21 { Parallelism::Rayon(threads) } else { Parallelism::None };
+    // SAFETY: the callers' matrices have these sizes and c overlaps neither a nor b.
+    unsafe {
+        gemm(m, n, k, c.0, c.1 as isize, 1, true, a.0, a.1 as isize, 1, b.0, b.1 as isize, 1, 1.0, -1.0, false, false, false, parallel);
+    }
+}
+
+/// B <- L^-1 B with a unit lower triangle, `n` columns, by halves.
+fn solve_lower(l: *const f64, ldl: usize, p: usize, b: *mut f64, ldb: usize, n: usize, threads: usize) {
+    if p > PANEL {
+        let half = p / 2;
+        solve_lower(l, ldl, half, b, ldb, n, threads);
+        // SAFETY: within the triangle and the p rows of b.
+        unsafe {
+            subtract_product([p - half, n, half], (l.add(half), ldl), (b, ldb), (b.add(half), ldb), threads);
+            solve_lower(l.add(half * ldl + half), ldl, p - half, b.add(half), ldb, n, threads);
+        }
+        return;
+    }
+    for column in 0..n {
+        // SAFETY: p rows of each of the n columns.
+        let x = unsafe { std::slice::from_raw_parts_mut(b.add(column * ldb), p) };
+        for k in 0..p {
+            let pivot = x[k];
+            // SAFETY: column k of the triangle.
+            let of_l = unsafe { std::slice::from_raw_parts(l.add(k * ldl), p) };
+            for row in k + 1..p {
+                x[row] -= of_l[row] * pivot;
+            }
+        }
+    }
+}
+
+/// B <- B U^-1, `n` rows, by halves.
+fn solve_upper_right(u: *const f64, ldu: usize, p: usize, b: *mut f64, ldb: usize, n: usize, threads: usize) {
+    if p > PANEL {
+        let half = p / 2;
+        solve_upper_right(u, ldu, half, b, ldb, n, threads);
+        // SAFETY: within the triangle and the p columns of b.
+        unsafe {
+            let right = b.add(half * ldb);
+            subtract_product([n, p - half, half], (b, ldb), (u.add(half * ldu), ldu), (right, ldb), threads);
+            solve_upper_right(u.add(half * ldu + half), ldu, p - half, right, ldb, n, threads);
+        }
+        return;
+    }
+    for k in 0..p {
+        // SAFETY: column k of the triangle, and columns up to k of b, which are disjoint.
+        unsafe {
+            let of_u = std::slice::from_raw_parts(u.add(k * ldu), p);
+            let x = std::slice::from_raw_parts_mut(b.add(k * ldb), n);
+            for (before, factor) in of_u[..k].iter().enumerate() {
+                let from = std::slice::from_raw_parts(b.add(before * ldb), n);
+                x.iter_mut().zip(from).for_each(|(x, from)| *x -= factor * from);
+            }
+            let inverse = 1.0 / of_u[k];
+            x.iter_mut().for_each(|x| *x *= inverse);
+        }
+    }
+}
+
+/// P A = L U of the p x p matrix in the first columns of `a`, with rows exchanged over its columns only, by halves.
+fn factorise(a: *mut f64, lda: usize, rows: usize, p: usize, pivots: &mut [u32], threads: usize) -> Result<(), Singular> {
+    if p > PANEL {
+        let half = p / 2;
+        let (low, high) = pivots.split_at_mut(half);
+        factorise(a, lda, rows, half, low, threads)?;
+        // SAFETY: all within the rows x p part of a.
+        unsafe {
+            let right = a.add(half * lda);
+            exchange(right, lda, p - half, low);
+            solve_lower(a, lda, half, right, lda, p - half, threads);
+            subtract_product([rows - half, p - half, half], (a.add(half), lda), (right, lda), (right.add(half), lda), threads);
+            factorise(right.add(half), lda, rows - half, p - half, high, threads)?;
+            exchange(a.add(half), lda, half, high);
+        }
+        high.iter_mut().for_each(|pivot| *pivot += half as u32);
+        return Ok(());
+    }
+    for k in 0..p {
+        // SAFETY: columns of a, each of `rows` rows, disjoint.
+        unsafe {
+            let column = std::slice::from_raw_parts_mut(a.add(k * lda), rows);
+            let mut best = k;
+            for row in k + 1..rows {
+                if column[row].abs() > column[best].abs() {
+                    best = row;
+                }
+            }
+            // The diagonal is kept where it is not much smaller, which keeps the fields of a particle together.
+            if column[k].abs() >= 0.1 * column[best].abs() {
+                best = k;
+            }
+            pivots[k] = best as u32;
+            let pivot = column[best];
+            if pivot == 0.0 || !pivot.is_finite() {
+                return Err(Singular);
+            }
+            if best != k {
+                for c in 0..p {
+                    std::ptr::swap(a.add(c * lda + k), a.add(c * lda + best));
+                }
+            }
+            let inverse = 1.0 / pivot;
+            column[k + 1..].iter_mut().for_each(|x| *x *= inverse);
+            for c in k + 1..p {
+                let other = std::slice::from_raw_parts_mut(a.add(c * lda), rows);
+                let factor = other[k];
+                if factor != 0.0 {
+                    other[k + 1..].iter_mut().zip(&column[k + 1..]).for_each(|(x, l)| *x -= factor * l);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Exchanges rows of `columns` columns.
+unsafe fn exchange(a: *mut f64, lda: usize, columns: usize, pivots: &[u32]) {
+    for column in 0..columns {
+        for (k, &with) in pivots.iter().enumerate() {
+            // SAFETY: the caller's columns have all rows that are named.
+            unsafe { std::ptr::swap(a.add(column * lda + k), a.add(column * lda + with as usize)) };
+        }
+    }
+}
+
+impl SparseLu {
+    /// Factorises a matrix of the order's structure.
+    ///
+    /// # Errors
+    /// A matrix with a pivot that vanishes.
+    pub fn new(order: &std::sync::Arc<Order>, matrix: &BlockMatrix, threads: usize) -> Result<Self, Singular> {
+        let mut factors = vec![Factor::default(); order.fronts.len()];
+        let mut passed: Vec<Vec<f64>> = vec![vec![]; order.fronts.len()];
+        if let Some(root) = order.fronts.len().checked_sub(1) {
+            let mut work = Work { order, matrix, place: vec![u32::MAX; order.nodes] };
+            work.subtree(root, 0, &mut factors, &mut passed, threads)?;
+        }
+        Ok(Self { order: order.clone(), size: matrix.size, factors })
+    }
+
+    /// Bytes of the factors.
+    pub fn bytes(&self) -> usize {
+        self.factors.iter().map(|f| 8 * (f.lu.len() + f.upper.len() + f.lower.len())).sum()
+    }
+
+    /// x = A^-1 b, or A^-T b.
+    pub fn solve(&self, b: &[f64], transposed: bool) -> Vec<f64> {
+        let s = self.size;
+        let mut x = b.to_vec();
+        let mut part = vec![];
+        let gather = |x: &[f64], nodes: &[u32], part: &mut Vec<f64>| {
+            part.clear();
+            part.extend(nodes.iter().flat_map(|&i| &x[i as usize * s..(i as usize + 1) * s]));
+        };
+        let scatter = |x: &mut [f64], nodes: &[u32], part: &[f64]| {
+            nodes.iter().zip(part.chunks_exact(s)).for_each(|(&i, part)| x[i as usize * s..(i as usize + 1) * s].copy_from_slice(part));
+        };
+        for (front, factor) in self.order.fronts.iter().zip(&self.factors) {
+            let (p, q) = (front.own.len() * s, front.later.len() * s);
+            gather(&x, &front.own, &mut part);
+            let Factor { lu, pivots, upper, lower } = factor;
+            if transposed {
+                // U^T y = b.
+                for k in 0..p {
+                    let column = &lu[k * p..k * p + k];
+                    let known: f64 = column.iter().zip(&part).map(|(u, y)| u * y).sum();
+                    part[k] = (part[k] - known) / lu[k * p + k];
+                }
+            } else {
+                pivots.iter().enumerate().for_each(|(k, &with)| part.swap(k, with as usize));
+                for k in 0..p {
+                    let pivot = part[k];
+                    part[k + 1..].iter_mut().zip(&lu[k * p + k + 1..(k + 1) * p]).for_each(|(x, l)| *x -= l * pivot);
+                }
+            }
+            scatter(&mut x, &front.own, &part);
+            // What later unknowns know of these.
+            let mut less = vec![0.0; q];
+            if transposed {
+                for (k, less) in less.iter_mut().enumerate() {
+                    *less = upper[k * p..(k + 1) * p].iter().zip(&part).map(|(u, y)| u * y).sum();
+                }
+            } else {
+                for (k, y) in part.iter().enumerate() {
+                    less.iter_mut().zip(&lower[k * q..(k + 1) * q]).for_each(|(less, l)| *less += l * y);
+                }
+            }
+            for (&j, less) in front.later.iter().zip(less.chunks_exact(s)) {
+                x[j as usize * s..(j as usize + 1) * s].iter_mut().zip(less).for_each(|(x, less)| *x -= less);
+            }
+        }
+        let mut known = vec![];
+        for (front, factor) in self.order.fronts.iter().zip(&self.factors).rev() {
+            let (p, q) = (front.own.len() * s, front.later.len() * s);
+            gather(&x, &front.own, &mut part);
+            gather(&x, &front.later, &mut known);
+            let Factor { lu, pivots, upper, lower } = factor;
+            if transposed {
+                for (k, x) in part.iter_mut().enumerate() {
+                    *x -= lower[k * q..(k + 1) * q].iter().zip(&known).map(|(l, x)| l * x).sum::<f64>();
+                }
+                for k in (0..p).rev() {
+                    let column = &lu[k * p + k + 1..(k + 1) * p];
+                    part[k] -= column.iter().zip(&part[k + 1..]).map(|(l, x)| l * x).sum::<f64>();
+                }
+                pivots.iter().enumerate().rev().for_each(|(k, &with)| part.swap(k, with as usize));
+            } else {
+                for (k, known) in known.iter().enumerate() {
+                    part.iter_mut().zip(&upper[k * p..(k + 1) * p]).for_each(|(x, u)| *x -= u * known);
+                }
+                for k in (0..p).rev() {
+                    part[k] /= lu[k * p + k];
+                    let pivot = part[k];
+                    part[..k].iter_mut().zip(&lu[k * p..k * p + k]).for_each(|(x, u)| *x -= u * pivot);
+                }
+            }
+            scatter(&mut x, &front.own, &part);
+        }
+        x
+    }
+}
+
+/// What the factorisation of a subtree reads, and its own memory.
+struct Work<'a> {
+    order: &'a Order,
+    matrix: &'a BlockMatrix,
+    /// Place of each node in the present front.
+    place: Vec<u32>,
+}
+
+impl Work<'_> {
+    /// Factorises a front and all below it, which are the elements of `factors` and `passed` up to it, from `first` on.
+    fn subtree(
+        &mut self,
+        root: usize,
+        first: usize,
+        factors: &mut [Factor],
+        passed: &mut [Vec<f64>],
+        threads: usize,
+    ) -> Result<(), Singular> {
+        let front = &self.order.fronts[root];
+        match &front.children[..] {
+            &[low, high] if threads > 1 && front.weight > OWN_THREAD => {
+                let cut = low + 1 - first;
+                let (low_factors, rest) = factors.split_at_mut(cut);
+                let (low_passed, rest_passed) = passed.split_at_mut(cut);
+                let (order, matrix) = (self.order, self.matrix);
+                let (one, other) = std::thread::scope(|scope| {
+                    let mut work = Work { order, matrix, place: vec![u32::MAX; order.nodes] };
+                    let run = move || work.subtree(low, first, low_factors, low_passed, threads / 2);
+                    let beside = scope.spawn(run);
+                    let other = self.subtree(high, low + 1, rest, rest_passed, threads - threads / 2);
+                    (beside.join().unwrap_or(Err(Singular)), other)
+                });
+                one?;
+                other?;
+            }
+            children => {
+                let mut from = first;
+                for &child in children {
+                    self.subtree(child, from, &mut factors[from - first..], &mut passed[from - first..], threads)?;
+                    from = child + 1;
+                }
+            }
+        }
+        self.front(root, first, factors, passed, threads)
+    }
+
+    fn front(
+        &mut self,
+        k: usize,
+        first: usize,
+        factors: &mut [Factor],
+        passed: &mut [Vec<f64>],
+        threads: usize,
+    ) -> Result<(), Singular> {
+        let (front, s) = (&self.order.fronts[k], self.matrix.size);
+        let (own, all) = (front.own.len(), front.own.len() + front.later.len());
+        let (p, n) = (own * s, all * s);
+        let nodes = front.own.iter().chain(&front.later);
+        nodes.clone().enumerate().for_each(|(place, &i)| self.place[i as usize] = place as u32);
+        let mut dense = vec![0.0; n * n];
+        // Rows of own unknowns whole, and of later ones the columns of own ones.
+        for (row, &i) in nodes.clone().enumerate() {
+            for e in self.matrix.first[i as usize]..self.matrix.first[i as usize + 1] {
+                let column = self.place[self.matrix.column[e] as usize] as usize;
+                if column < all && (row < own || column < own) {
+                    for (k, value) in self.matrix.values[e * s * s..(e + 1) * s * s].iter().enumerate() {
+                        dense[(column * s + k % s) * n + row * s + k / s] += value;
+                    }
+                }
+            }
+        }
+        nodes.for_each(|&i| self.place[i as usize] = u32::MAX);
+        for &child in &front.children {
+            let (from, map) = (std::mem::take(&mut passed[child - first]), &self.order.fronts[child].in_parent);
+            let q = map.len() * s;
+            for (c, &to) in map.iter().enumerate() {
+                for b in 0..s {
+                    let column = &from[(c * s + b) * q..(c * s + b + 1) * q];
+                    let target = &mut dense[(to as usize * s + b) * n..(to as usize * s + b + 1) * n];
+                    for (row, values) in map.iter().zip(column.chunks_exact(s)) {
+                        let row = *row as usize * s;
+                        target[row..row + s].iter_mut().zip(values).for_each(|(x, value)| *x += value);
+                    }
+                }
+            }
+        }
+        let q = n - p;
+        let mut pivots = vec![0; p];
+        let a = dense.as_mut_ptr();
+        factorise(a, n, p, p, &mut pivots, threads)?;
+        // SAFETY: the four parts of the n x n matrix do not overlap.
+        unsafe {
+            let (b, c) = (a.add(p * n), a.add(p));
+            exchange(b, n, q, &pivots);
+            solve_lower(a, n, p, b, n, q, threads);
+            solve_upper_right(a, n, p, c, n, q, threads);
+            subtract_product([q, q, p], (c, n), (b, n), (b.add(p), n), threads);
+        }
+        let part = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| -> Vec<f64> {
+            columns.flat_map(|column| &dense[column * n + rows.start..column * n + rows.end]).copied().collect()
+        };
+        passed[k - first] = part(p..n, p..n);
+        factors[k - first] = Factor { lu: part(0..p, 0..p), pivots, upper: part(p..n, 0..p), lower: part(0..p, p..n) };
+        Ok(())
+    }
+}

@@ -1,0 +1,380 @@
+//! The steady equations at fixed particles: residuals, their matrices, and their derivative by the positions.
+//!
+//! Inside, with the derivatives of [`super::fit`] and per unit of density,
+//!
+//! ```text
+//!   momentum      u . grad u + grad p - nu lap u - f = 0
+//!   continuity    div u - tau S p + lambda = 0          tau = 2 / (4 nu / h^2 + 1.4 U / h)
+//!   heat          u . grad T - alpha lap T = 0.
+//! ```
+//!
+//! Continuity holds on walls as well. S p is what a fit leaves of the pressure; it damps a checkerboard and nothing else.
+//! The fits do not conserve volume exactly, so where no pressure is given, one number lambda takes the rest (about 1e-3 of
+//! the flow rate per area), and p = 0 at one particle.
+
+use super::fit::{Coefficients, Stencils, COEFFICIENTS, LEFT};
+use crate::numerics::sparse_lu::BlockMatrix;
+
+/// The velocity at a point of the boundary.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Motion {
+    Given([f64; 2]),
+    /// No flow along direction d, and no derivative along it of the other component.
+    Symmetry(usize),
+    /// No derivative along direction d, and p = 0.
+    Outflow(usize),
+}
+
+/// The temperature at a point of the boundary, relative to the reference.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Warmth {
+    Given(f64),
+    /// Heat flux into the fluid per density and heat capacity.
+    Flux(f64),
+}
+
+/// What holds at a point of the boundary.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Condition {
+    pub motion: Motion,
+    pub warmth: Warmth,
+    /// Unit normal into the fluid.
+    pub normal: [f64; 2],
+}
+
+/// Velocity, pressure and temperature of all particles, and the two numbers of the whole flow.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct State {
+    /// u, v, p, T.
+    pub fields: [Vec<f64>; 4],
+    /// The rest of continuity, and the acceleration along x that a drive adds.
+    pub lambda: f64,
+    pub drive: f64,
+}
+
+impl State {
+    pub fn at_rest(particles: usize) -> Self {
+        Self { fields: std::array::from_fn(|_| vec![0.0; particles]), lambda: 0.0, drive: 0.0 }
+    }
+}
+
+/// The materials, forces and conditions of a flow at fixed particles.
+#[derive(Debug, Clone)]
+pub struct Equations {
+    /// Kinematic viscosity.
+    pub viscosity: f64,
+    /// Thermal diffusivity; none without heat.
+    pub diffusivity: Option<f64>,
+    pub force: [f64; 2],
+    /// tau of each particle.
+    pub damping: Vec<f64>,
+    /// Number of particles inside; the others are on the boundary.
+    pub inside: usize,
+    /// Of each particle on the boundary.
+    pub conditions: Vec<Condition>,
+    /// The neighbours and weights of velocity and pressure, and those of the temperature.
+    pub flow: Stencils,
+    pub heat: Stencils,
+}
+
+/// Coefficients of both kinds of stencil at some positions.
+#[derive(Debug, Clone, Default)]
+pub struct Operators {
+    pub flow: Coefficients,
+    pub heat: Coefficients,
+}
+
+/// Derivatives of all fields at all particles, `[N][COEFFICIENTS]` each.
+#[derive(Debug, Clone, Default)]
+pub struct Derivatives(pub [Vec<[f64; COEFFICIENTS]>; 4]);
+
+impl Equations {
+    pub fn particles(&self) -> usize {
+        self.flow.particles
+    }
+
+    /// Whether a pressure is given somewhere; otherwise lambda is unknown, and p = 0 at particle 0.
+    pub fn gives_pressure(&self) -> bool {
+        self.conditions.iter().any(|condition| matches!(condition.motion, Motion::Outflow(_)))
+    }
+
+    pub fn operators(&self, position: &[Vec<f64>; 2]) -> Operators {
+        let heat = match self.diffusivity {
+            Some(_) => self.heat.coefficients(position),
+            None => Coefficients::default(),
+        };
+        Operators { flow: self.flow.coefficients(position), heat }
+    }
+
+    /// Derivatives of the flow's fields, and of the temperature if `heat`.
+    pub fn derivatives(&self, operators: &Operators, state: &State, heat: bool) -> Derivatives {
+        let n = self.particles();
+        let of = |f: usize| -> Vec<[f64; COEFFICIENTS]> {
+            let value = &state.fields[f];
+            match f {
+                3 if !heat || self.diffusivity.is_none() => vec![[0.0; COEFFICIENTS]; n],
+                3 => (0..n).map(|i| operators.heat.derivatives(&self.heat, i, value)).collect(),
+                _ => (0..n).map(|i| operators.flow.derivatives(&self.flow, i, value)).collect(),
+            }
+        };
+        Derivatives(std::array::from_fn(of))
+    }
+
+    /// Residuals of momentum and continuity, `[N, 3]`.
+    pub fn flow_residual(&self, state: &State, d: &Derivatives) -> Vec<f64> {
+        let [u, v, p, _] = &state.fields;
+        let [du, dv, dp, _] = &d.0;
+        let nu = self.viscosity;
+        let mut residual = vec![0.0; 3 * self.particles()];
+        for (i, row) in residual.chunks_exact_mut(3).enumerate() {
+            row[2] = du[i][0] + dv[i][1] - self.damping[i] * dp[i][LEFT] + state.lambda;
+            if i < self.inside {
+                row[0] = u[i] * du[i][0] + v[i] * du[i][1] + dp[i][0] - nu * (du[i][2] + du[i][4]) - self.force[0] - state.drive;
+                row[1] = u[i] * dv[i][0] + v[i] * dv[i][1] + dp[i][1] - nu * (dv[i][2] + dv[i][4]) - self.force[1];
+                continue;
+            }
+            match self.conditions[i - self.inside].motion {
+                Motion::Given(given) => (row[0], row[1]) = (u[i] - given[0], v[i] - given[1]),
+                Motion::Symmetry(e) => {
+                    row[e] = [u[i], v[i]][e];
+                    row[1 - e] = [du[i], dv[i]][1 - e][e];
+                }
+                Motion::Outflow(e) => (row[0], row[1], row[2]) = (du[i][e], dv[i][e], p[i]),
+            }
+        }
+        residual
+    }
+
+    /// Residual of the heat, `[N]`.
+    pub fn heat_residual(&self, state: &State, d: &Derivatives) -> Vec<f64> {
+        let [u, v, _, t] = &state.fields;
+        let (dt, alpha) = (&d.0[3], self.diffusivity.unwrap_or(0.0));
+        let of = |i: usize| {
+            if i < self.inside {
+                return u[i] * dt[i][0] + v[i] * dt[i][1] - alpha * (dt[i][2] + dt[i][4]);
+            }
+            let condition = self.conditions[i - self.inside];
+            match condition.warmth {
+                Warmth::Given(given) => t[i] - given,
+                Warmth::Flux(flux) => alpha * (condition.normal[0] * dt[i][0] + condition.normal[1] * dt[i][1]) + flux,
+            }
+        };
+        (0..self.particles()).map(of).collect()
+    }
+
+    /// The derivative of [`Self::flow_residual`] by u, v, p, in the structure of `matrix`.
+    pub fn flow_matrix(&self, state: &State, d: &Derivatives, operators: &Operators, matrix: &mut BlockMatrix) {
+        let [u, v, ..] = &state.fields;
+        let [du, dv, ..] = &d.0;
+        matrix.values.fill(0.0);
+        for i in 0..self.particles() {
+            let diagonal = matrix.entry(i, i as u32);
+            let mut own = [0.0; 9];
+            for k in 0..self.flow.neighbours {
+                let c = operators.flow.of(i, k);
+                let mut block = [0.0; 9];
+                (block[6], block[7], block[8]) = (c[0], c[1], -self.damping[i] * c[LEFT]);
+                if i < self.inside {
+                    let moved = u[i] * c[0] + v[i] * c[1] - self.viscosity * (c[2] + c[4]);
+                    (block[0], block[2], block[4], block[5]) = (moved, c[0], moved, c[1]);
+                } else {
+                    match self.conditions[i - self.inside].motion {
+                        Motion::Given(_) => {}
+                        Motion::Symmetry(e) => block[4 * (1 - e)] = c[e],
+                        Motion::Outflow(e) => {
+                            block = [0.0; 9];
+                            (block[0], block[4]) = (c[e], c[e]);
+                        }
+                    }
+                }
+                for (own, value) in own.iter_mut().zip(&block) {
+                    *own -= value;
+                }
+                let entry = matrix.entry(i, self.flow.neighbour(i, k) as u32);
+                matrix.block_mut(entry).iter_mut().zip(&block).for_each(|(to, value)| *to += value);
+            }
+            if i < self.inside {
+                own[0] += du[i][0];
+                own[1] += du[i][1];
+                own[3] += dv[i][0];
+                own[4] += dv[i][1];
+            } else {
+                match self.conditions[i - self.inside].motion {
+                    Motion::Given(_) => (own[0], own[4]) = (1.0, 1.0),
+                    Motion::Symmetry(e) => own[4 * e] = 1.0,
+                    Motion::Outflow(_) => own[8] = 1.0,
+                }
+            }
+            matrix.block_mut(diagonal).iter_mut().zip(&own).for_each(|(to, value)| *to += value);
+        }
+    }
+
+    /// The derivative of [`Self::heat_residual`] by T.
+    pub fn heat_matrix(&self, state: &State, operators: &Operators, matrix: &mut BlockMatrix) {
+        let ([u, v, ..], alpha) = (&state.fields, self.diffusivity.unwrap_or(0.0));
+        matrix.values.fill(0.0);
+        for i in 0..self.particles() {
+            let condition = (i >= self.inside).then(|| self.conditions[i - self.inside]);
+            let mut own = 0.0;
+            for k in 0..self.heat.neighbours {
+                let c = operators.heat.of(i, k);
+                let value = match condition {
+                    None => u[i] * c[0] + v[i] * c[1] - alpha * (c[2] + c[4]),
+                    Some(Condition { warmth: Warmth::Given(_), .. }) => 0.0,
+                    Some(Condition { normal, .. }) => alpha * (normal[0] * c[0] + normal[1] * c[1]),
+                };
+                own -= value;
+                let entry = matrix.entry(i, self.heat.neighbour(i, k) as u32);
+                matrix.values[entry] += value;
+            }
+            let diagonal = matrix.entry(i, i as u32);
+            matrix.values[diagonal] += match condition {
+                Some(Condition { warmth: Warmth::Given(_), .. }) => 1.0,
+                _ => own,
+            };
+        }
+    }
+
+    /// The cotangents of the derivatives and of the boundary's numbers, given those of the residuals: `flow` `[N, 3]`,
+    /// `heat` `[N]`, added to `bar`.
+    pub fn pull_back(&self, state: &State, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
+        let [u, v, ..] = &state.fields;
+        let Derivatives([du_bar, dv_bar, dp_bar, dt_bar]) = &mut bar.derivatives;
+        for i in 0..self.particles() {
+            let row = &flow[3 * i..3 * i + 3];
+            let motion = (i >= self.inside).then(|| self.conditions[i - self.inside].motion);
+            if !matches!(motion, Some(Motion::Outflow(_))) {
+                du_bar[i][0] += row[2];
+                dv_bar[i][1] += row[2];
+                dp_bar[i][LEFT] -= self.damping[i] * row[2];
+            }
+            match motion {
+                None => {
+                    for (bar, row) in [(&mut du_bar[i], row[0]), (&mut dv_bar[i], row[1])] {
+                        bar[0] += u[i] * row;
+                        bar[1] += v[i] * row;
+                        bar[2] -= self.viscosity * row;
+                        bar[4] -= self.viscosity * row;
+                    }
+                    dp_bar[i][0] += row[0];
+                    dp_bar[i][1] += row[1];
+                }
+                Some(Motion::Given(_)) => {
+                    let given = &mut bar.boundary[i - self.inside];
+                    (0..2).for_each(|e| given.velocity[e] -= row[e]);
+                }
+                Some(Motion::Symmetry(0)) => dv_bar[i][0] += row[1],
+                Some(Motion::Symmetry(_)) => du_bar[i][1] += row[0],
+                Some(Motion::Outflow(e)) => {
+                    du_bar[i][e] += row[0];
+                    dv_bar[i][e] += row[1];
+                }
+            }
+            let (Some(heat), Some(alpha)) = (heat, self.diffusivity) else { continue };
+            if i < self.inside {
+                let row = heat[i];
+                dt_bar[i][0] += u[i] * row;
+                dt_bar[i][1] += v[i] * row;
+                dt_bar[i][2] -= alpha * row;
+                dt_bar[i][4] -= alpha * row;
+                continue;
+            }
+            let condition = self.conditions[i - self.inside];
+            let of_boundary = &mut bar.boundary[i - self.inside];
+            match condition.warmth {
+                Warmth::Given(_) => of_boundary.temperature -= heat[i],
+                Warmth::Flux(_) => {
+                    for e in 0..2 {
+                        dt_bar[i][e] += alpha * condition.normal[e] * heat[i];
+                        of_boundary.normal[e] += alpha * d.0[3][i][e] * heat[i];
+                    }
+                    of_boundary.temperature += heat[i];
+                }
+            }
+        }
+    }
+
+    /// What the residuals of momentum get from a change of T's equation: d(heat residual)/d(u, v), transposed: `[N, 2]`.
+    pub fn heat_by_velocity(&self, d: &Derivatives, heat: &[f64]) -> Vec<[f64; 2]> {
+        let of = |i: usize| match i < self.inside {
+            true => [heat[i] * d.0[3][i][0], heat[i] * d.0[3][i][1]],
+            false => [0.0; 2],
+        };
+        (0..self.particles()).map(of).collect()
+    }
+}
+
+/// Cotangents of a point of the boundary: of its given velocity, of its given temperature or flux, and of its normal.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BoundaryBar {
+    pub velocity: [f64; 2],
+    pub temperature: f64,
+    pub normal: [f64; 2],
+    /// Of normal times length.
+    pub area: [f64; 2],
+}
+
+/// Cotangents of all that depends on the shape, and of the state.
+#[derive(Debug, Clone)]
+pub struct Bar {
+    pub derivatives: Derivatives,
+    pub boundary: Vec<BoundaryBar>,
+    /// Of positions themselves, `[2][N]`.
+    pub position: [Vec<f64>; 2],
+    /// Of the fields themselves, `[4][N]`.
+    pub fields: [Vec<f64>; 4],
+    /// Of the drive's acceleration.
+    pub drive: f64,
+    /// Of numbers of shapes themselves: shape, number, cotangent.
+    pub numbers: Vec<(usize, usize, f64)>,
+}
+
+impl Bar {
+    pub fn new(particles: usize, boundary: usize) -> Self {
+        Self {
+            derivatives: Derivatives(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; particles])),
+            boundary: vec![BoundaryBar::default(); boundary],
+            position: std::array::from_fn(|_| vec![0.0; particles]),
+            fields: std::array::from_fn(|_| vec![0.0; particles]),
+            drive: 0.0,
+            numbers: vec![],
+        }
+    }
+}
+
+impl Equations {
+    /// The cotangents of the fields u, v, p, T, `[N]` each, given those of their derivatives and of themselves.
+    pub fn by_fields(&self, operators: &Operators, bar: &Bar) -> [Vec<f64>; 4] {
+        let mut fields = bar.fields.clone();
+        for (f, to) in fields.iter_mut().enumerate() {
+            let (stencils, coefficients) = match f {
+                3 if self.diffusivity.is_none() => continue,
+                3 => (&self.heat, &operators.heat),
+                _ => (&self.flow, &operators.flow),
+            };
+            for (i, bar) in bar.derivatives.0[f].iter().enumerate() {
+                if bar.iter().all(|&x| x == 0.0) {
+                    continue;
+                }
+                for k in 0..stencils.neighbours {
+                    let c = coefficients.of(i, k);
+                    let sum: f64 = c.iter().zip(bar).map(|(c, bar)| c * bar).sum();
+                    to[stencils.neighbour(i, k)] += sum;
+                    to[i] -= sum;
+                }
+            }
+        }
+        fields
+    }
+
+    /// The cotangents of the positions, given those of the derivatives.
+    pub fn by_positions(&self, position: &[Vec<f64>; 2], state: &State, bar: &Bar) -> [Vec<f64>; 2] {
+        let mut found = bar.position.clone();
+        let [u, v, p, t] = &state.fields;
+        self.flow.pull_back(position, &[u, v, p], &bar.derivatives.0[..3], &mut found);
+        if self.diffusivity.is_some() {
+            self.heat.pull_back(position, &[t], &bar.derivatives.0[3..], &mut found);
+        }
+        found
+    }
+}

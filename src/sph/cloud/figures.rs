@@ -1,0 +1,483 @@
+//! Figures of a steady flow: flow rate, and force, torque and heat of shapes.
+//!
+//! On a wall with normal n into the fluid the fluid's traction is t = -p n + nu (grad u + grad u^T) n and the heat that the
+//! wall gives is -alpha n . grad T (times density and heat capacity). Sums of these over a shape's points are its *surface*
+//! figures. What leaves through the rest of the boundary gives the same figures by *balance*,
+//!
+//! ```text
+//!   sum of forces = f area - sum_rest (t - u u.n) length,   sum of heat = - sum_rest (-alpha n . grad T + T u.n) length,
+//! ```
+//!
+//! which is more accurate by far: the rest is where fields are smooth. Figures by balance are those that are reported and
+//! differentiated (a designer finds the errors of the surface's); their difference from the surface's sum is shared among
+//! the bodies by their perimeters.
+
+use super::equations::{Bar, Condition, Derivatives, Equations, Motion, Operators, State, Warmth};
+use super::fit::COEFFICIENTS;
+use super::particles::{Cloud, Shaped};
+use super::steady::FlowRate;
+use crate::config::custom::Part;
+
+/// A figure that is a smooth function of state and shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Figure {
+    /// Volume per time and depth through a cross-section.
+    FlowRate,
+    /// Force of the fluid on a body along x or y, per density.
+    Force { shape: usize, along: usize },
+    /// Torque of the fluid on a shape about its centre, per density.
+    Torque { shape: usize },
+    /// Heat that a shape gives to the fluid, per density and heat capacity.
+    Heat { shape: usize },
+    /// Heat that flows through the cross-section with the fluid.
+    HeatOutflow,
+    /// Mean pressure of the sides that the fluid enters by less that of those where it leaves, or of a period.
+    PressureDrop,
+    /// Power of the driving forces less that of moving walls, per density.
+    Dissipation,
+}
+
+/// A place of a cross-section: nearest particle, position and weight.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    particle: usize,
+    place: [f64; 2],
+    weight: f64,
+}
+
+/// What figures need beside the state.
+#[derive(Debug)]
+pub struct Measures {
+    section: Vec<Sample>,
+    /// Of the cross-section.
+    pub section_at: f64,
+    /// Indices of boundary points by shape.
+    points: Vec<Vec<usize>>,
+    /// Boundary points that belong to no body.
+    rest: Vec<usize>,
+    /// Share of each shape in what balance and surface differ by; 0 of those that are no bodies.
+    share: Vec<f64>,
+    /// Centre of each shape in the reference cloud.
+    pub centre: Vec<[f64; 2]>,
+    /// Which of its numbers are its centre.
+    centre_numbers: Vec<[Option<usize>; 2]>,
+    inside: usize,
+    /// Area of the box that no boundary point accounts for.
+    base_area: f64,
+    size: [f64; 2],
+    periodic_x: bool,
+}
+
+/// State and derivatives at one shape.
+pub struct At<'a> {
+    pub equations: &'a Equations,
+    pub shaped: &'a Shaped,
+    pub state: &'a State,
+    pub d: &'a Derivatives,
+}
+
+impl At<'_> {
+    fn velocity(&self, i: usize) -> [f64; 2] {
+        [self.state.fields[0][i], self.state.fields[1][i]]
+    }
+
+    fn place(&self, i: usize) -> [f64; 2] {
+        [self.shaped.position[0][i], self.shaped.position[1][i]]
+    }
+}
+
+impl Measures {
+    /// `at`: x of the cross-section; none: as far from bodies as possible.
+    pub fn new(cloud: &Cloud, at: Option<f64>) -> Self {
+        let (plane, places) = (cloud.ground.plane, &cloud.places);
+        let shapes = cloud.ground.outlines.len();
+        let mut points = vec![vec![]; shapes];
+        let mut rest = vec![];
+        for (k, point) in places.boundary.iter().enumerate() {
+            if let Some((shape, _)) = point.on {
+                points[shape].push(k);
+            }
+            if !point.on.is_some_and(|(shape, _)| places.bodies.contains(&shape)) {
+                rest.push(k);
+            }
+        }
+        let length = |shape: usize| -> f64 {
+            let outline = &cloud.ground.outlines[shape];
+            let on = |k: &usize| {
+                let point = &places.boundary[*k];
+                let along = outline.points(&[point.on.map_or(0.0, |on| on.1)], &outline.numbers)[0].along;
+                point.weight * along[0].hypot(along[1])
+            };
+            points[shape].iter().map(on).sum()
+        };
+        let total: f64 = places.bodies.iter().map(|&body| length(body)).sum();
+        let share = (0..shapes).map(|k| if places.bodies.contains(&k) { length(k) / total } else { 0.0 }).collect();
+        let (centre, centre_numbers) = (0..shapes)
+            .map(|k| {
+                let outline = &cloud.ground.outlines[k];
+                let polygon = &places.polygons[k];
+                let middle = |d: usize| polygon.iter().map(|p| p[d]).sum::<f64>() / polygon.len() as f64;
+                let number = |d: usize| outline.parts.iter().position(|part| *part == Part::Centre(d));
+                let numbers = [number(0), number(1)];
+                (std::array::from_fn(|d| numbers[d].map_or_else(|| middle(d), |n| outline.numbers[n])), numbers)
+            })
+            .unzip();
+        let [low, high] = places.corners;
+        let section_at = at.unwrap_or_else(|| {
+            // In the middle between lattice columns nothing is exact; a column is as good as any place in between.
+            let cells = cloud.ground.cells(&places.corners)[0];
+            let step = (high[0] - low[0]) / cells as f64;
+            let distance = |x: f64| {
+                let of = |k: &usize| {
+                    places.polygons[*k].iter().map(|p| plane.between([x, 0.0], [p[0], 0.0])[0].abs()).fold(f64::MAX, f64::min)
+                };
+                let ends = if plane.periodic[0] { f64::MAX } else { (x - low[0]).min(high[0] - x) };
+                places.bodies.iter().map(of).fold(ends, f64::min)
+            };
+            let columns = (0..cells).map(|k| low[0] + k as f64 * step);
+            columns.fold((low[0], f64::MIN), |best, x| if distance(x) > best.1 + 1e-9 { (x, distance(x)) } else { best }).0
+        });
+        let near = super::nearest::Nearest::new(plane, cloud.ground.dx, &places.place);
+        let rows = cloud.ground.cells(&places.corners)[1];
+        let step = (high[1] - low[1]) / rows as f64;
+        let mut section = vec![];
+        for row in 0..rows {
+            for part in [-1.0, 1.0] {
+                // Gauss's two points in each row.
+                let y = low[1] + step * (row as f64 + 0.5 + 0.5 * part / 3f64.sqrt());
+                let p = [section_at, y];
+                if cloud.ground.is_in_wall(&places.polygons, p, None).is_some() {
+                    continue;
+                }
+                if let Some((_, particle)) = near.one(p) {
+                    let r = plane.between(places.place[particle], p);
+                    let own = places.place[particle];
+                    section.push(Sample { particle, place: [own[0] + r[0], own[1] + r[1]], weight: 0.5 * step });
+                }
+            }
+        }
+        let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
+        let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
+        Self { section, section_at, points, rest, share, centre, centre_numbers, inside, base_area, size, periodic_x }
+    }
+
+    /// The Taylor polynomial's monomials from a sample's particle to its place.
+    fn monomials(sample: &Sample, position: &[Vec<f64>; 2]) -> [f64; 5] {
+        let [x, y]: [f64; 2] = std::array::from_fn(|d| sample.place[d] - position[d][sample.particle]);
+        [x, y, 0.5 * x * x, x * y, 0.5 * y * y]
+    }
+
+    fn sampled(sample: &Sample, at: &At<'_>, field: usize) -> f64 {
+        let q = Self::monomials(sample, &at.shaped.position);
+        let d = &at.d.0[field][sample.particle];
+        at.state.fields[field][sample.particle] + (0..5).map(|a| q[a] * d[a]).sum::<f64>()
+    }
+
+    fn sampled_back(sample: &Sample, at: &At<'_>, field: usize, weight: f64, bar: &mut Bar) {
+        let (i, q) = (sample.particle, Self::monomials(sample, &at.shaped.position));
+        let d = &at.d.0[field][i];
+        bar.fields[field][i] += weight;
+        (0..5).for_each(|a| bar.derivatives.0[field][i][a] += weight * q[a]);
+        bar.position[0][i] -= weight * (d[0] + d[2] * q[0] + d[3] * q[1]);
+        bar.position[1][i] -= weight * (d[1] + d[3] * q[0] + d[4] * q[1]);
+    }
+
+    /// Area of the fluid.
+    pub fn area(&self, at: &At<'_>) -> f64 {
+        let of = |(k, area): (usize, &[f64; 2])| at.place(self.inside + k)[1] * area[1];
+        self.base_area - at.shaped.area.iter().enumerate().map(of).sum::<f64>()
+    }
+
+    fn area_back(&self, at: &At<'_>, weight: f64, bar: &mut Bar) {
+        for (k, area) in at.shaped.area.iter().enumerate() {
+            let i = self.inside + k;
+            bar.position[1][i] -= weight * area[1];
+            bar.boundary[k].area[1] -= weight * at.place(i)[1];
+        }
+    }
+
+    /// The traction times length at a point of the boundary, less the momentum that the fluid carries in, along e.
+    fn push(&self, at: &At<'_>, k: usize, e: usize) -> f64 {
+        let (i, a, nu) = (self.inside + k, at.shaped.area[k], at.equations.viscosity);
+        let [du, dv, ..] = &at.d.0;
+        let gradient = [[du[i][0], du[i][1]], [dv[i][0], dv[i][1]]];
+        let u = at.velocity(i);
+        let viscous: f64 = (0..2).map(|b| nu * (gradient[e][b] + gradient[b][e]) * a[b]).sum();
+        viscous - at.state.fields[2][i] * a[e] - u[e] * (u[0] * a[0] + u[1] * a[1])
+    }
+
+    fn push_back(&self, at: &At<'_>, k: usize, e: usize, weight: f64, bar: &mut Bar) {
+        let (i, a, nu) = (self.inside + k, at.shaped.area[k], at.equations.viscosity);
+        let [du, dv, ..] = &at.d.0;
+        let gradient = [[du[i][0], du[i][1]], [dv[i][0], dv[i][1]]];
+        let (u, p) = (at.velocity(i), at.state.fields[2][i]);
+        let through = u[0] * a[0] + u[1] * a[1];
+        for b in 0..2 {
+            bar.derivatives.0[e][i][b] += weight * nu * a[b];
+            bar.derivatives.0[b][i][e] += weight * nu * a[b];
+            bar.boundary[k].area[b] += weight * (nu * (gradient[e][b] + gradient[b][e]) - u[e] * u[b]);
+            bar.fields[b][i] -= weight * u[e] * a[b];
+        }
+        bar.boundary[k].area[e] -= weight * p;
+        bar.fields[2][i] -= weight * a[e];
+        bar.fields[e][i] -= weight * through;
+    }
+
+    /// The heat that enters at a point of the boundary, by conduction and with the fluid.
+    fn warmth(&self, at: &At<'_>, k: usize) -> f64 {
+        let (i, a) = (self.inside + k, at.shaped.area[k]);
+        let (dt, u) = (&at.d.0[3][i], at.velocity(i));
+        let alpha = at.equations.diffusivity.unwrap_or(0.0);
+        at.state.fields[3][i] * (u[0] * a[0] + u[1] * a[1]) - alpha * (dt[0] * a[0] + dt[1] * a[1])
+    }
+
+    fn warmth_back(&self, at: &At<'_>, k: usize, weight: f64, bar: &mut Bar) {
+        let (i, a) = (self.inside + k, at.shaped.area[k]);
+        let (dt, u, t) = (&at.d.0[3][i], at.velocity(i), at.state.fields[3][i]);
+        let alpha = at.equations.diffusivity.unwrap_or(0.0);
+        bar.fields[3][i] += weight * (u[0] * a[0] + u[1] * a[1]);
+        for b in 0..2 {
+            bar.fields[b][i] += weight * t * a[b];
+            bar.derivatives.0[3][i][b] -= weight * alpha * a[b];
+            bar.boundary[k].area[b] += weight * (t * u[b] - alpha * dt[b]);
+        }
+    }
+
+    fn bodies(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.share.len()).filter(|&k| self.share[k] > 0.0)
+    }
+
+    fn body_force(at: &At<'_>, e: usize) -> f64 {
+        at.equations.force[e] + if e == 0 { at.state.drive } else { 0.0 }
+    }
+
+    /// A shape's force along e by its surface alone.
+    pub fn surface_force(&self, at: &At<'_>, shape: usize, e: usize) -> f64 {
+        self.points[shape].iter().map(|&k| self.push(at, k, e)).sum()
+    }
+
+    /// A shape's heat by its surface alone.
+    pub fn surface_heat(&self, at: &At<'_>, shape: usize) -> f64 {
+        self.points[shape].iter().map(|&k| self.warmth(at, k)).sum()
+    }
+
+    /// The largest heat flux of a shape's surface, per density and heat capacity.
+    pub fn largest_heat_flux(&self, at: &At<'_>, shape: usize) -> f64 {
+        let of = |&k: &usize| self.warmth(at, k) / at.shaped.area[k][0].hypot(at.shaped.area[k][1]);
+        self.points[shape].iter().map(of).fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most })
+    }
+
+    /// The sum of the forces on all bodies along e, by balance.
+    pub fn balanced_force(&self, at: &At<'_>, e: usize) -> f64 {
+        Self::body_force(at, e) * self.area(at) - self.rest.iter().map(|&k| self.push(at, k, e)).sum::<f64>()
+    }
+
+    /// The sum of the heat of all bodies, by balance.
+    pub fn balanced_heat(&self, at: &At<'_>) -> f64 {
+        -self.rest.iter().map(|&k| self.warmth(at, k)).sum::<f64>()
+    }
+
+    /// Whether balance tells the heat of bodies: something else lets heat through.
+    fn balances_heat(&self, at: &At<'_>) -> bool {
+        self.rest.iter().any(|&k| {
+            let Condition { motion, warmth, .. } = at.shaped.conditions[k];
+            matches!(warmth, Warmth::Given(_)) || matches!(motion, Motion::Outflow(_)) || !matches!(warmth, Warmth::Flux(q) if q == 0.0)
+        })
+    }
+
+    pub fn value(&self, figure: Figure, at: &At<'_>) -> f64 {
+        match figure {
+            Figure::FlowRate => self.section.iter().map(|s| s.weight * Self::sampled(s, at, 0)).sum(),
+            Figure::HeatOutflow => {
+                self.section.iter().map(|s| s.weight * Self::sampled(s, at, 0) * Self::sampled(s, at, 3)).sum()
+            }
+            Figure::Force { shape, along } => {
+                let own = self.surface_force(at, shape, along);
+                if self.share[shape] == 0.0 {
+                    return own;
+                }
+                let all: f64 = self.bodies().map(|body| self.surface_force(at, body, along)).sum();
+                own + self.share[shape] * (self.balanced_force(at, along) - all)
+            }
+            Figure::Heat { shape } => {
+                let own = self.surface_heat(at, shape);
+                if self.share[shape] == 0.0 || !self.balances_heat(at) {
+                    return own;
+                }
+                let all: f64 = self.bodies().map(|body| self.surface_heat(at, body)).sum();
+                own + self.share[shape] * (self.balanced_heat(at) - all)
+            }
+            Figure::Torque { shape } => {
+                let of = |&k: &usize| {
+                    let p = at.place(self.inside + k);
+                    let c = self.centre_at(at, shape);
+                    (p[0] - c[0]) * self.push(at, k, 1) - (p[1] - c[1]) * self.push(at, k, 0)
+                };
+                self.points[shape].iter().map(of).sum()
+            }
+            Figure::PressureDrop => {
+                if self.periodic_x {
+                    return Self::body_force(at, 0) * self.size[0];
+                }
+                let (mut sums, mut lengths) = ([0.0; 2], [0.0; 2]);
+                for &k in &self.rest {
+                    if let Some((end, length)) = self.end_of(at, k) {
+                        sums[end] += length * at.state.fields[2][self.inside + k];
+                        lengths[end] += length;
+                    }
+                }
+                sums[0] / lengths[0].max(f64::MIN_POSITIVE) - sums[1] / lengths[1].max(f64::MIN_POSITIVE)
+            }
+            Figure::Dissipation => {
+                let driven = Self::body_force(at, 0) * self.value(Figure::FlowRate, at) * self.size[0];
+                let walls = (0..at.shaped.area.len()).map(|k| self.power(at, k));
+                driven - walls.sum::<f64>()
+            }
+        }
+    }
+
+    /// 0 for a point where fluid enters, 1 where it leaves, with its length; none on walls.
+    fn end_of(&self, at: &At<'_>, k: usize) -> Option<(usize, f64)> {
+        let a = at.shaped.area[k];
+        let length = a[0].hypot(a[1]);
+        match at.shaped.conditions[k].motion {
+            Motion::Outflow(_) => Some((1, length)),
+            Motion::Given(u) => {
+                let through = u[0] * a[0] + u[1] * a[1];
+                (through.abs() > 1e-12 * length).then_some((if through > 0.0 { 0 } else { 1 }, length))
+            }
+            Motion::Symmetry(_) => None,
+        }
+    }
+
+    /// The centre of a shape as it is now.
+    fn centre_at(&self, at: &At<'_>, shape: usize) -> [f64; 2] {
+        let number = |d: usize| self.centre_numbers[shape][d].map(|n| at.shaped.numbers[shape][n]);
+        std::array::from_fn(|d| number(d).unwrap_or(self.centre[shape][d]))
+    }
+
+    /// Power that the fluid gives away at a point of the boundary, with half of the carried kinetic energy given back.
+    fn power(&self, at: &At<'_>, k: usize) -> f64 {
+        let (u, a) = (at.velocity(self.inside + k), at.shaped.area[k]);
+        if u == [0.0; 2] {
+            return 0.0;
+        }
+        let carried = 0.5 * (u[0] * u[0] + u[1] * u[1]) * (u[0] * a[0] + u[1] * a[1]);
+        u[0] * self.push(at, k, 0) + u[1] * self.push(at, k, 1) + carried
+    }
+
+    /// Adds the cotangents of a figure times `weight`.
+    pub fn pull_back(&self, figure: Figure, at: &At<'_>, weight: f64, bar: &mut Bar) {
+        match figure {
+            Figure::FlowRate => {
+                self.section.iter().for_each(|s| Self::sampled_back(s, at, 0, weight * s.weight, bar));
+            }
+            Figure::HeatOutflow => {
+                for s in &self.section {
+                    let (u, t) = (Self::sampled(s, at, 0), Self::sampled(s, at, 3));
+                    Self::sampled_back(s, at, 0, weight * s.weight * t, bar);
+                    Self::sampled_back(s, at, 3, weight * s.weight * u, bar);
+                }
+            }
+            Figure::Force { shape, along } => {
+                let share = self.share[shape];
+                self.points[shape].iter().for_each(|&k| self.push_back(at, k, along, weight, bar));
+                if share == 0.0 {
+                    return;
+                }
+                for body in self.bodies() {
+                    self.points[body].iter().for_each(|&k| self.push_back(at, k, along, -share * weight, bar));
+                }
+                self.rest.iter().for_each(|&k| self.push_back(at, k, along, -share * weight, bar));
+                self.area_back(at, share * weight * Self::body_force(at, along), bar);
+                if along == 0 {
+                    bar.drive += share * weight * self.area(at);
+                }
+            }
+            Figure::Heat { shape } => {
+                let share = self.share[shape];
+                self.points[shape].iter().for_each(|&k| self.warmth_back(at, k, weight, bar));
+                if share == 0.0 || !self.balances_heat(at) {
+                    return;
+                }
+                for body in self.bodies() {
+                    self.points[body].iter().for_each(|&k| self.warmth_back(at, k, -share * weight, bar));
+                }
+                self.rest.iter().for_each(|&k| self.warmth_back(at, k, -share * weight, bar));
+            }
+            Figure::Torque { shape } => {
+                for &k in &self.points[shape] {
+                    let (i, c) = (self.inside + k, self.centre_at(at, shape));
+                    let p = at.place(i);
+                    let (x, y) = (self.push(at, k, 0), self.push(at, k, 1));
+                    self.push_back(at, k, 1, weight * (p[0] - c[0]), bar);
+                    self.push_back(at, k, 0, -weight * (p[1] - c[1]), bar);
+                    bar.position[0][i] += weight * y;
+                    bar.position[1][i] -= weight * x;
+                    let [cx, cy] = self.centre_numbers[shape];
+                    bar.numbers.extend(cx.map(|n| (shape, n, -weight * y)));
+                    bar.numbers.extend(cy.map(|n| (shape, n, weight * x)));
+                }
+            }
+            Figure::PressureDrop => {
+                if self.periodic_x {
+                    bar.drive += weight * self.size[0];
+                    return;
+                }
+                let mut lengths = [0.0; 2];
+                let ends: Vec<_> = self.rest.iter().filter_map(|&k| Some((k, self.end_of(at, k)?))).collect();
+                ends.iter().for_each(|(_, (end, length))| lengths[*end] += length);
+                for (k, (end, length)) in ends {
+                    let sign = if end == 0 { 1.0 } else { -1.0 };
+                    bar.fields[2][self.inside + k] += sign * weight * length / lengths[end];
+                }
+            }
+            Figure::Dissipation => {
+                let push = Self::body_force(at, 0);
+                self.pull_back(Figure::FlowRate, at, weight * push * self.size[0], bar);
+                bar.drive += weight * self.value(Figure::FlowRate, at) * self.size[0];
+                for k in 0..at.shaped.area.len() {
+                    let (i, a) = (self.inside + k, at.shaped.area[k]);
+                    let u = at.velocity(i);
+                    if u == [0.0; 2] {
+                        continue;
+                    }
+                    for e in 0..2 {
+                        self.push_back(at, k, e, -weight * u[e], bar);
+                        bar.fields[e][i] -= weight * self.push(at, k, e);
+                    }
+                    let (square, through) = (u[0] * u[0] + u[1] * u[1], u[0] * a[0] + u[1] * a[1]);
+                    for e in 0..2 {
+                        bar.fields[e][i] -= weight * (u[e] * through + 0.5 * square * a[e]);
+                        bar.boundary[k].area[e] -= weight * 0.5 * square * u[e];
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The flow rate for a drive that holds it.
+pub struct Rate<'a> {
+    pub measures: &'a Measures,
+    pub equations: &'a Equations,
+    pub shaped: &'a Shaped,
+}
+
+impl FlowRate for Rate<'_> {
+    fn value(&self, state: &State, d: &Derivatives) -> f64 {
+        let at = At { equations: self.equations, shaped: self.shaped, state, d };
+        self.measures.value(Figure::FlowRate, &at)
+    }
+
+    fn by_state(&self, operators: &Operators) -> Vec<f64> {
+        let n = self.equations.particles();
+        let state = State::at_rest(n);
+        let d = Derivatives(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; n]));
+        let at = At { equations: self.equations, shaped: self.shaped, state: &state, d: &d };
+        let mut bar = Bar::new(n, self.shaped.area.len());
+        self.measures.pull_back(Figure::FlowRate, &at, 1.0, &mut bar);
+        let fields = self.equations.by_fields(operators, &bar);
+        (0..3 * n).map(|k| fields[k % 3][k / 3]).collect()
+    }
+}

@@ -1,0 +1,21 @@
+//! Fixed particles around any shape: the steady state of an incompressible flow in two dimensions, and its exact
+//! derivative by the numbers of the shapes.
+//!
+//! ```text
+//!   numbers -- outline --> points on walls -- deformation --> positions -- fit --> derivatives -- equations --> residual
+//!      ^                                                                                                         | Newton
+//!   gradient <------------------------------ the same backwards <-- multipliers <-- transposed solve <-- figure <-+
+//! ```
+//!
+//! Particles stay; the weights of their fits are computed once per cloud, so every figure is a smooth function of the
+//! numbers ([`particles`]).
+pub mod deformation;
+pub mod equations;
+pub mod figures;
+pub mod fit;
+pub mod nearest;
+pub mod outline;
+pub mod particles;
+pub mod placing;
+pub mod problem;
+pub mod steady;

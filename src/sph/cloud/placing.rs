@@ -1,0 +1,615 @@
+//! Places of fixed particles: on walls and surfaces, in layers around bodies, and on a lattice.
+//!
+//! The spacing h is h0 on a body (dx / 3 by default, less where the surface turns sharply) and grows by a quarter of the
+//! distance to dx. Points on the surface are h0 apart; layers follow it at distances of 0.95 h, their points h apart; where h
+//! has reached dx a lattice goes on. Points too near to others are left out, and 30 steps of repulsion spread those near
+//! bodies evenly:
+//!
+//! ```text
+//!   x_i += h_i / 4 sum_j (1 - r / R)^2 r_ij / r,   R = 0.8 (h_i + h_j).
+//! ```
+
+use super::nearest::{Nearest, Plane};
+use super::outline::{area, OnOutline, Outline};
+
+/// What the cloud is made of: outlines of bodies and walls in a box.
+#[derive(Debug, Clone)]
+pub struct Ground {
+    pub plane: Plane,
+    pub dx: f64,
+    /// Spacing on surfaces of bodies.
+    pub surface: f64,
+    /// Outlines by shape.
+    pub outlines: Vec<Outline>,
+}
+
+/// A point on a wall: its part of the boundary is normal times length, out of the wall.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BoundaryPoint {
+    pub particle: usize,
+    /// The shape and parameter of its outline; none on a side of the box.
+    pub on: Option<(usize, f64)>,
+    /// Length per |dc/dt| of an outline; length on a side.
+    pub weight: f64,
+    /// Unit normal into the fluid.
+    pub normal: [f64; 2],
+    /// Index of the box's side: 2 d + (0 low, 1 high).
+    pub side: Option<usize>,
+}
+
+/// Fixed particles: those inside first, then those on walls.
+#[derive(Debug, Clone)]
+pub struct Places {
+    pub place: Vec<[f64; 2]>,
+    /// Spacing of each particle.
+    pub spacing: Vec<f64>,
+    /// Number of particles inside.
+    pub inside: usize,
+    pub boundary: Vec<BoundaryPoint>,
+    /// Shapes whose whole outline is in the fluid.
+    pub bodies: Vec<usize>,
+    /// Shapes of which a part of the outline is in the fluid.
+    pub touching: Vec<usize>,
+    /// Polygons of the outlines, fine, for tests of what is inside.
+    pub polygons: Vec<Vec<[f64; 2]>>,
+    /// Lower and upper corner of the fluid.
+    pub corners: [[f64; 2]; 2],
+}
+
+/// What is wrong with shapes that cannot be placed.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Unplaceable {
+    /// Two bodies, or a body and a wall, are nearer than this.
+    Narrow { shape: usize, width: f64 },
+    /// A shape is thinner than can be resolved.
+    Thin { shape: usize, width: f64 },
+    /// No fluid is left.
+    Full,
+}
+
+const GROWTH: f64 = 0.25;
+const LAYERS: usize = 2;
+const RELAXATIONS: usize = 30;
+/// Smallest spacing on a surface, in the usual one.
+const FINEST: f64 = 0.4;
+/// Spacing on a surface in its radius of curvature.
+const PER_RADIUS: f64 = 0.55;
+
+/// Whether a point is inside a closed line.
+pub fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
+    let mut inside = false;
+    let Some(mut from) = points.last().copied() else { return false };
+    for &to in points {
+        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
+            inside = !inside;
+        }
+        from = to;
+    }
+    inside
+}
+
+fn outward(along: [f64; 2]) -> [f64; 2] {
+    let length = along[0].hypot(along[1]);
+    [along[1] / length, -along[0] / length]
+}
+
+impl Ground {
+    /// Offsets of periodic images that reach into the box.
+    fn images(&self) -> Vec<[f64; 2]> {
+        let steps = |d: usize| if self.plane.periodic[d] { vec![0.0, -self.plane.size[d], self.plane.size[d]] } else { vec![0.0] };
+        steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect()
+    }
+
+    /// Whether a place, or an image of it, is inside any polygon but that of `except`.
+    pub fn is_in_wall(&self, polygons: &[Vec<[f64; 2]>], p: [f64; 2], except: Option<usize>) -> Option<usize> {
+        let images = self.images();
+        (0..polygons.len()).rev().filter(|&k| Some(k) != except).find(|&k| {
+            images.iter().any(|image| is_inside([p[0] + image[0], p[1] + image[1]], &polygons[k]))
+        })
+    }
+
+    fn is_in_box(&self, p: [f64; 2]) -> bool {
+        (0..2).all(|d| self.plane.periodic[d] || (p[d] > 1e-9 * self.dx && p[d] < self.plane.size[d] - 1e-9 * self.dx))
+    }
+
+    /// Fills the fluid with particles.
+    ///
+    /// # Errors
+    /// Shapes that cannot be resolved.
+    pub fn fill(&self) -> Result<Places, Unplaceable> {
+        let Self { plane, dx, .. } = *self;
+        let fine: Vec<(Vec<f64>, Vec<OnOutline<f64>>)> = self
+            .outlines
+            .iter()
+            .map(|outline| {
+                let samples = outline.samples(if outline.numbers.len() > 60 { 8 } else { 64 });
+                let points = outline.points(&samples, &outline.numbers);
+                (samples, points)
+            })
+            .collect();
+        let polygons: Vec<Vec<[f64; 2]>> =
+            fine.iter().map(|(_, points)| points.iter().map(|point| point.place).collect()).collect();
+        let mut places = Places {
+            place: vec![],
+            spacing: vec![],
+            inside: 0,
+            boundary: vec![],
+            bodies: vec![],
+            touching: vec![],
+            polygons: polygons.clone(),
+            corners: [[0.0; 2], plane.size],
+        };
+        let mut surface: Vec<(BoundaryPoint, [f64; 2], f64)> = vec![];
+        let mut layers: Vec<([f64; 2], f64, f64)> = vec![];
+        // Samples of surfaces with the distance at which their layers end, and the spacing there.
+        let mut near: Vec<([f64; 2], f64, f64)> = vec![];
+        for (k, (samples, points)) in fine.iter().enumerate() {
+            let is_free = |p: [f64; 2]| self.is_in_box(p) && self.is_in_wall(&polygons, p, Some(k)).is_none();
+            // A wall that reaches out of a periodic box is there once.
+            let in_period = |p: [f64; 2]| (0..2).all(|d| p[d] >= -1e-9 * dx && p[d] < plane.size[d] - 1e-9 * dx);
+            let whole = points.iter().all(|point| is_free(point.place));
+            let free: Vec<bool> = points.iter().map(|point| is_free(point.place) && (whole || in_period(point.place))).collect();
+            if !free.iter().any(|&free| free) {
+                continue;
+            }
+            places.touching.push(k);
+            let lengths = lengths(points);
+            if whole {
+                places.bodies.push(k);
+                let spacing = self.surface_spacing(points, &lengths);
+                let chosen = spread(samples, &lengths, &spacing, true, 0.0);
+                self.check_thickness(k, points, &spacing)?;
+                let perimeter: f64 = lengths.iter().sum();
+                let _ = perimeter;
+                for (t, dt, h) in chosen {
+                    let on = self.outlines[k].points(&[t], &self.outlines[k].numbers)[0];
+                    let point = BoundaryPoint { particle: 0, on: Some((k, t)), weight: dt, normal: outward(on.along), side: None };
+                    surface.push((point, on.place, h));
+                }
+                self.layers(points, &lengths, &spacing, &mut layers, &mut near);
+            } else {
+                // Stretches of the outline that are in the fluid.
+                for (from, to) in stretches(&free) {
+                    let part = |list: &[f64]| -> Vec<f64> { (from..to).map(|i| list[i % list.len()]).collect() };
+                    let on: Vec<OnOutline<f64>> = (from..to).map(|i| points[i % points.len()]).collect();
+                    let length = part(&lengths);
+                    let total: f64 = length.iter().sum();
+                    let is_straight = {
+                        let first = outward(on[0].along);
+                        on.iter().all(|point| { let n = outward(point.along); n[0] * first[0] + n[1] * first[1] > 1.0 - 1e-9 })
+                    };
+                    let spacing = if is_straight { vec![dx; on.len()] } else { self.surface_spacing(&on, &length) };
+                    let mut parameters = part(samples);
+                    for i in 1..parameters.len() {
+                        if parameters[i] < parameters[i - 1] {
+                            parameters[i] += 1.0;
+                        }
+                    }
+                    let is_period = (0..2).any(|d| plane.periodic[d] && (total - plane.size[d]).abs() < 2.0 * total / on.len() as f64 && is_straight);
+                    let chosen = spread(&parameters, &length, &spacing, is_period, if is_period { 0.0 } else { 0.5 });
+                    for (t, dt, h) in chosen {
+                        let t = t.rem_euclid(1.0);
+                        let on = self.outlines[k].points(&[t], &self.outlines[k].numbers)[0];
+                        let place = plane.wrapped(on.place);
+                        let point = BoundaryPoint { particle: 0, on: Some((k, t)), weight: dt, normal: outward(on.along), side: None };
+                        surface.push((point, place, h));
+                    }
+                    if !is_straight {
+                        self.layers(&on, &length, &spacing, &mut layers, &mut near);
+                    }
+                }
+            }
+        }
+        self.corners_of(&mut places);
+        self.sides(&polygons, &places.corners, &mut surface);
+        if surface.is_empty() && places.touching.is_empty() && !plane.periodic.iter().all(|&p| p) {
+            return Err(Unplaceable::Full);
+        }
+        let mut kept: Vec<([f64; 2], f64)> = vec![];
+        let walls: Vec<[f64; 2]> = surface.iter().map(|(_, place, _)| *place).collect();
+        let to_walls = Nearest::new(plane, dx, &walls);
+        let samples: Vec<[f64; 2]> = near.iter().map(|(place, ..)| plane.wrapped(*place)).collect();
+        let to_samples = Nearest::new(plane, dx, &samples);
+        // Layers' points keep off walls and earlier layers' points.
+        let mut cells = Growing::new(plane, dx);
+        for &(p, h, distance) in &layers {
+            if !self.is_in_box(p) || self.is_in_wall(&polygons, p, None).is_some() {
+                continue;
+            }
+            let p = plane.wrapped(p);
+            let off_wall = match to_walls.one(p) {
+                Some((far, i)) if surface[i].0.side.is_some() || surface[i].2 > 0.99 * dx => far > 0.6 * h,
+                _ => true,
+            };
+            if off_wall && to_samples.distance(p) > 0.9 * distance && !cells.has_within(p, 0.6 * h) {
+                cells.add(p);
+                kept.push((p, h));
+            }
+        }
+        let layered: Vec<[f64; 2]> = kept.iter().map(|(p, _)| *p).collect();
+        let to_layers = Nearest::new(plane, dx, &layered);
+        for p in self.lattice(&places.corners) {
+            if !self.is_in_box(p) || self.is_in_wall(&polygons, p, None).is_some() || to_walls.distance(p) <= 0.75 * dx {
+                continue;
+            }
+            let beyond = match to_samples.one(p) {
+                Some((distance, i)) => distance > near[i].1 - 0.95 * dx,
+                None => true,
+            };
+            if beyond && to_layers.distance(p) > 0.75 * dx {
+                kept.push((p, dx));
+            }
+        }
+        if kept.len() < 20 {
+            return Err(Unplaceable::Full);
+        }
+        places.inside = kept.len();
+        places.spacing = kept.iter().map(|(_, h)| *h).chain(surface.iter().map(|(_, _, h)| *h)).collect();
+        places.place = kept.iter().map(|(p, _)| *p).chain(walls.iter().copied()).collect();
+        for (k, (point, ..)) in surface.iter().enumerate() {
+            places.boundary.push(BoundaryPoint { particle: places.inside + k, ..*point });
+        }
+        // Lattice points too, where the lattice does not fit to a wall.
+        let moves: Vec<bool> = kept
+            .iter()
+            .map(|(p, _)| {
+                let by_body = to_samples.one(*p).is_some_and(|(distance, i)| distance < near[i].1 + 2.0 * dx);
+                by_body || to_walls.one(*p).is_some_and(|(distance, _)| distance < 1.6 * dx && (distance / dx - 1.0).abs() > 0.01)
+            })
+            .collect();
+        self.relax(&mut places, &moves);
+        if let Some(bad) = self.narrow(&places) {
+            return Err(bad);
+        }
+        Ok(places)
+    }
+
+    /// The spacing at samples of a surface: less where it is strongly curved, growing by a quarter of the way along it.
+    fn surface_spacing(&self, points: &[OnOutline<f64>], lengths: &[f64]) -> Vec<f64> {
+        let n = points.len();
+        let mut spacing: Vec<f64> = (0..n)
+            .map(|k| {
+                // Turning over about one spacing.
+                let (mut turn, mut way, mut i) = (0.0, 0.0, k);
+                while way < self.surface {
+                    let (a, b) = (points[i % n].along, points[(i + 1) % n].along);
+                    turn += (a[0] * b[1] - a[1] * b[0]).atan2(a[0] * b[0] + a[1] * b[1]);
+                    way += lengths[i % n];
+                    i += 1;
+                    if i - k > n {
+                        break;
+                    }
+                }
+                let radius = way / turn.abs().max(1e-9);
+                (PER_RADIUS * radius).clamp(FINEST * self.surface, self.surface)
+            })
+            .collect();
+        for _ in 0..2 {
+            for k in 0..2 * n {
+                let (a, b) = (k % n, (k + 1) % n);
+                spacing[b] = spacing[b].min(spacing[a] + GROWTH * lengths[a]);
+            }
+            for k in (0..2 * n).rev() {
+                let (a, b) = (k % n, (k + 1) % n);
+                spacing[a] = spacing[a].min(spacing[b] + GROWTH * lengths[a]);
+            }
+        }
+        spacing
+    }
+
+    /// Checks that a body is thick enough for points on both of its sides, away from its tips.
+    fn check_thickness(&self, shape: usize, points: &[OnOutline<f64>], spacing: &[f64]) -> Result<(), Unplaceable> {
+        let perimeter: f64 = lengths(points).iter().sum();
+        let thick = 2.0 * area(points).abs() / perimeter;
+        let least = spacing.iter().fold(f64::MAX, |a, &b| a.min(b));
+        if thick < 0.5 * least || perimeter < 6.0 * least {
+            return Err(Unplaceable::Thin { shape, width: thick.min(perimeter / std::f64::consts::PI) });
+        }
+        Ok(())
+    }
+
+    /// Layers along a surface: place, spacing and distance of each point. `near` gets the samples with the distance of
+    /// the last layer.
+    fn layers(
+        &self,
+        points: &[OnOutline<f64>],
+        lengths: &[f64],
+        surface: &[f64],
+        layers: &mut Vec<([f64; 2], f64, f64)>,
+        near: &mut Vec<([f64; 2], f64, f64)>,
+    ) {
+        let (n, dx) = (points.len(), self.dx);
+        let total: f64 = lengths.iter().sum();
+        let is_closed = {
+            let (a, b) = (points[0].place, points[n - 1].place);
+            (a[0] - b[0]).hypot(a[1] - b[1]) < 3.0 * total / n as f64
+        };
+        let mut distance = vec![0.0; n];
+        let mut end = vec![f64::NAN; n];
+        for layer in 1.. {
+            let spacing: Vec<f64> = (0..n).map(|k| dx.min(surface[k] + GROWTH * distance[k])).collect();
+            for k in 0..n {
+                distance[k] += 0.95 * spacing[k];
+                if end[k].is_nan() && layer > LAYERS && spacing[k] > 0.9 * dx {
+                    end[k] = distance[k];
+                }
+            }
+            if end.iter().all(|end| !end.is_nan()) {
+                break;
+            }
+            let curve: Vec<[f64; 2]> = (0..n)
+                .map(|k| {
+                    let out = outward(points[k].along);
+                    [points[k].place[0] + distance[k] * out[0], points[k].place[1] + distance[k] * out[1]]
+                })
+                .collect();
+            let step = |k: usize| {
+                let (a, b) = (curve[k], curve[(k + 1) % n]);
+                (b[0] - a[0]).hypot(b[1] - a[1])
+            };
+            let steps: Vec<f64> = (0..n).map(|k| if k + 1 == n && !is_closed { 0.0 } else { step(k) }).collect();
+            let index: Vec<f64> = (0..n).map(|k| k as f64).collect();
+            let offset = if layer % 2 == 1 { 0.5 } else { 0.0 };
+            for (at, _, h) in spread_over(&index, &steps, &spacing, is_closed, offset, n as f64) {
+                let (k, share) = (at as usize % n, at.fract());
+                if !end[k].is_nan() {
+                    continue;
+                }
+                let (a, b) = (curve[k], curve[(k + 1) % n]);
+                layers.push(([a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])], h, distance[k]));
+            }
+        }
+        near.extend((0..n).map(|k| (points[k].place, end[k], surface[k])));
+    }
+
+    /// The lower and upper corner of the fluid: where walls cover whole sides of the box, it is smaller.
+    fn corners_of(&self, places: &mut Places) {
+        let Plane { size, periodic } = self.plane;
+        for d in 0..2 {
+            if periodic[d] {
+                continue;
+            }
+            let covered = |x: f64| {
+                let across = 40;
+                (0..across).all(|k| {
+                    let y = (k as f64 + 0.5) / across as f64 * size[1 - d];
+                    let p = if d == 0 { [x, y] } else { [y, x] };
+                    self.is_in_wall(&places.polygons, p, None).is_some()
+                })
+            };
+            for (end, way) in [(0, 1.0), (1, -1.0)] {
+                let at = |depth: f64| if way > 0.0 { depth } else { size[d] - depth };
+                let most = (1..).map(|k| 0.25 * self.dx * f64::from(k)).take_while(|&x| x < 0.5 * size[d]).take_while(|&x| covered(at(x))).last();
+                if let Some(inner) = most {
+                    let (mut low, mut high) = (inner, inner + 0.25 * self.dx);
+                    for _ in 0..40 {
+                        let middle = 0.5 * (low + high);
+                        if covered(at(middle)) {
+                            low = middle;
+                        } else {
+                            high = middle;
+                        }
+                    }
+                    places.corners[end][d] = at(0.5 * (low + high));
+                }
+            }
+        }
+    }
+
+    /// Numbers of cells of the lattice.
+    pub fn cells(&self, corners: &[[f64; 2]; 2]) -> [usize; 2] {
+        std::array::from_fn(|d| (((corners[1][d] - corners[0][d]) / self.dx).round() as usize).max(1))
+    }
+
+    fn lattice(&self, corners: &[[f64; 2]; 2]) -> Vec<[f64; 2]> {
+        let cells = self.cells(corners);
+        let range = |d: usize| if self.plane.periodic[d] { 0..cells[d] } else { 1..cells[d] };
+        let at = |d: usize, k: usize| corners[0][d] + (corners[1][d] - corners[0][d]) * k as f64 / cells[d] as f64;
+        range(0).flat_map(|i| range(1).map(move |j| [at(0, i), at(1, j)])).collect()
+    }
+
+    /// Points on those sides of the box that the fluid reaches.
+    fn sides(&self, polygons: &[Vec<[f64; 2]>], corners: &[[f64; 2]; 2], surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>) {
+        let Plane { size, periodic } = self.plane;
+        let cells = self.cells(corners);
+        for d in 0..2 {
+            if periodic[d] {
+                continue;
+            }
+            for end in 0..2 {
+                let covered = if end == 0 { corners[0][d] > 1e-9 * self.dx } else { corners[1][d] < size[d] - 1e-9 * self.dx };
+                if covered {
+                    continue;
+                }
+                let (e, inner) = (1 - d, self.dx * 1e-6);
+                let step = (corners[1][e] - corners[0][e]) / cells[e] as f64;
+                // Corners of the box belong to the sides along x.
+                let range = match (periodic[e], d) {
+                    (true, _) => 0..cells[e],
+                    (false, 1) => 0..cells[e] + 1,
+                    (false, _) => 1..cells[e],
+                };
+                for k in range {
+                    let mut p = [0.0; 2];
+                    p[e] = corners[0][e] + step * k as f64;
+                    p[d] = if end == 0 { 0.0 } else { size[d] };
+                    let mut normal = [0.0; 2];
+                    normal[d] = if end == 0 { 1.0 } else { -1.0 };
+                    let just = [p[0] + inner * normal[0], p[1] + inner * normal[1]];
+                    let is_end = !periodic[e] && (k == 0 || k == cells[e]);
+                    let near_wall = surface.iter().any(|(point, place, h)| {
+                        point.on.is_some() && self.plane.distance(*place, p) < 0.5 * h.min(self.dx)
+                    });
+                    if near_wall || (!is_end && self.is_in_wall(polygons, just, None).is_some()) {
+                        continue;
+                    }
+                    let weight = if is_end { 0.5 * step } else { step };
+                    surface.push((BoundaryPoint { particle: 0, on: None, weight, normal, side: Some(2 * d + end) }, p, self.dx));
+                }
+            }
+        }
+    }
+
+    /// Spreads particles that `moves` names by repulsion.
+    fn relax(&self, places: &mut Places, moves: &[bool]) {
+        let movers: Vec<usize> = (0..places.inside).filter(|&i| moves[i]).collect();
+        for _ in 0..RELAXATIONS {
+            let near = Nearest::new(self.plane, self.dx, &places.place);
+            let shifts: Vec<[f64; 2]> = movers
+                .iter()
+                .map(|&i| {
+                    let (p, h) = (places.place[i], places.spacing[i]);
+                    let mut shift = [0.0; 2];
+                    for (distance, j) in near.of(p, 12, |_, distance| distance > 0.0) {
+                        let reach = 0.8 * (h + places.spacing[j as usize]);
+                        if distance < reach {
+                            let away = self.plane.between(places.place[j as usize], p);
+                            let strength = 0.25 * h * (1.0 - distance / reach).powi(2) / distance;
+                            (0..2).for_each(|d| shift[d] += strength * away[d]);
+                        }
+                    }
+                    shift
+                })
+                .collect();
+            for (&i, shift) in movers.iter().zip(&shifts) {
+                let p = places.place[i];
+                places.place[i] = self.plane.wrapped([p[0] + shift[0], p[1] + shift[1]]);
+            }
+        }
+    }
+
+    /// A body's surface point so near to another wall that no particle is between them.
+    fn narrow(&self, places: &Places) -> Option<Unplaceable> {
+        let walls: Vec<[f64; 2]> = places.boundary.iter().map(|b| places.place[b.particle]).collect();
+        let near = Nearest::new(self.plane, self.dx, &walls);
+        for (k, point) in places.boundary.iter().enumerate() {
+            let Some((shape, _)) = point.on else { continue };
+            if !places.bodies.contains(&shape) {
+                continue;
+            }
+            let h = places.spacing[point.particle];
+            let other = |i: usize| places.boundary[i].on.map(|on| on.0) != Some(shape);
+            if let Some(&(width, _)) = near.of(walls[k], 1, |i, distance| other(i) || distance > 4.0 * h).first() {
+                if width < 2.5 * h {
+                    return Some(Unplaceable::Narrow { shape, width });
+                }
+            }
+        }
+        None
+    }
+}
+
+/// Lengths of the steps between samples, the last one to the first.
+fn lengths(points: &[OnOutline<f64>]) -> Vec<f64> {
+    let n = points.len();
+    let step = |k: usize| {
+        let (a, b) = (points[k].place, points[(k + 1) % n].place);
+        (b[0] - a[0]).hypot(b[1] - a[1])
+    };
+    (0..n).map(step).collect()
+}
+
+/// Ranges of samples that are true, on a closed line; a range may go on behind its end.
+fn stretches(free: &[bool]) -> Vec<(usize, usize)> {
+    let n = free.len();
+    let Some(first) = (0..n).find(|&k| free[k] && !free[(k + n - 1) % n]) else { return vec![(0, n)] };
+    let mut found = vec![];
+    let mut k = first;
+    while k < first + n {
+        let from = k;
+        while k < first + n && free[k % n] {
+            k += 1;
+        }
+        if k > from + 1 {
+            found.push((from, k));
+        }
+        while k < first + n && !free[k % n] {
+            k += 1;
+        }
+    }
+    found
+}
+
+/// [`spread_over`] on a closed curve of parameters in [0, 1), or on a part of one.
+fn spread(parameters: &[f64], lengths: &[f64], spacing: &[f64], closed: bool, offset: f64) -> Vec<(f64, f64, f64)> {
+    spread_over(parameters, lengths, spacing, closed, offset, 1.0)
+}
+
+/// Points along a line whose samples are `lengths` apart, each about `spacing` from the next: parameter, its change per
+/// point, and the spacing there. `period`: of the parameter, on a closed line.
+fn spread_over(
+    parameters: &[f64],
+    lengths: &[f64],
+    spacing: &[f64],
+    closed: bool,
+    offset: f64,
+    period: f64,
+) -> Vec<(f64, f64, f64)> {
+    let n = parameters.len();
+    let steps = if closed { n } else { n - 1 };
+    // Number of spacings up to each sample.
+    let mut number = vec![0.0];
+    for k in 0..steps {
+        let h = 0.5 * (spacing[k] + spacing[(k + 1) % n]);
+        number.push(number[k] + lengths[k] / h);
+    }
+    let total = number[steps];
+    let count = (total.round() as usize).max(1);
+    let each = total / count as f64;
+    let mut found = vec![];
+    let mut k = 0;
+    for i in 0..count {
+        let wanted = (i as f64 + offset) * each;
+        while k + 1 < steps && number[k + 1] <= wanted {
+            k += 1;
+        }
+        let width = number[k + 1] - number[k];
+        let share = if width > 0.0 { (wanted - number[k]) / width } else { 0.0 };
+        let next = if k + 1 < n { parameters[k + 1] } else { parameters[0] + period };
+        let step = next - parameters[k];
+        let h = spacing[k] + share * (spacing[(k + 1) % n] - spacing[k]);
+        found.push((parameters[k] + share * step, step / width * each, h * each));
+    }
+    found
+}
+
+/// Places that are added one by one, by cells.
+struct Growing {
+    plane: Plane,
+    counts: [usize; 2],
+    members: Vec<Vec<[f64; 2]>>,
+}
+
+impl Growing {
+    fn new(plane: Plane, width: f64) -> Self {
+        let counts: [usize; 2] = std::array::from_fn(|d| ((plane.size[d] / width) as usize).clamp(1, 4096));
+        Self { plane, counts, members: vec![vec![]; counts[0] * counts[1]] }
+    }
+
+    fn index(&self, p: [f64; 2], d: usize) -> i64 {
+        ((p[d] / self.plane.size[d] * self.counts[d] as f64) as i64).clamp(0, self.counts[d] as i64 - 1)
+    }
+
+    fn add(&mut self, p: [f64; 2]) {
+        let cell = self.index(p, 0) as usize * self.counts[1] + self.index(p, 1) as usize;
+        self.members[cell].push(p);
+    }
+
+    /// Whether a place is within a distance of at most the cells' width.
+    fn has_within(&self, p: [f64; 2], distance: f64) -> bool {
+        let (i, j) = (self.index(p, 0), self.index(p, 1));
+        (-1..=1).any(|a| {
+            (-1..=1).any(|b| {
+                let cell: [Option<usize>; 2] = std::array::from_fn(|d| {
+                    let (k, count) = ([i + a, j + b][d], self.counts[d] as i64);
+                    match self.plane.periodic[d] {
+                        true => Some(k.rem_euclid(count) as usize),
+                        false => (0..count).contains(&k).then_some(k as usize),
+                    }
+                });
+                let [Some(x), Some(y)] = cell else { return false };
+                self.members[x * self.counts[1] + y].iter().any(|q| self.plane.distance(p, *q) < distance)
+            })
+        })
+    }
+}

@@ -1,0 +1,417 @@
+//! The steady state of fixed particles by Newton's method, and the adjoint of figures there.
+//!
+//! Each step solves the linearised flow; the heat, which does not act on the flow, is solved once at the end. The matrix is
+//! factorised by [`crate::numerics::sparse_lu`]; steps and shapes after it are solved by GMRES with those factors in front,
+//! as long as that takes few iterations. The numbers that hold for the whole flow are a border:
+//!
+//! ```text
+//!   | A  B | |x|   |r|      lambda: B = 1 in every row of continuity, C x = p of particle 0
+//!   | C  D | |e| = |g|      drive:  B = -1 in every row of x momentum, C x = the flow rate.
+//! ```
+//!
+//! A is singular where only the border fixes the pressure, so A + e e^T (e: the row of that pressure) is factorised.
+
+use super::equations::{Derivatives, Equations, Motion, Operators, State};
+use crate::numerics::krylov::gmres;
+use crate::numerics::sparse_lu::{BlockMatrix, Order, Singular, SparseLu};
+use std::sync::Arc;
+
+/// Why there is no steady state.
+#[derive(Debug, Clone, PartialEq)]
+pub enum NoSteadyState {
+    /// A matrix has no factors.
+    Singular,
+    /// Newton's method did not converge: the largest residual after its last step.
+    Diverged { residual: f64 },
+    /// The transposed system was not solved.
+    Adjoint,
+}
+
+impl From<Singular> for NoSteadyState {
+    fn from(_: Singular) -> Self {
+        Self::Singular
+    }
+}
+
+/// What a drive holds.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Held {
+    /// The flow rate.
+    FlowRate(f64),
+    /// Flow rate times acceleration times the length of the period: power per density.
+    Power { power: f64, length: f64 },
+}
+
+/// The flow rate as a linear function of the state: its value and derivative by u, v, p, `[N, 3]`.
+pub trait FlowRate: Sync {
+    fn value(&self, state: &State, d: &Derivatives) -> f64;
+    fn by_state(&self, operators: &Operators) -> Vec<f64>;
+}
+
+/// Steps of Newton's method before it is given up.
+const STEPS: usize = 25;
+/// The largest residual of a steady state, in those of a flow at rest.
+const TOLERANCE: f64 = 1e-11;
+/// Iterations of GMRES with old factors before the matrix is factorised anew.
+const ITERATIONS: usize = 14;
+/// The same for an adjoint, which is solved to more digits.
+const ADJOINT_ITERATIONS: usize = 40;
+
+/// A steady solver for one cloud; it keeps factors from state to state and from shape to shape.
+pub struct Solver {
+    pub equations: Equations,
+    pub threads: usize,
+    flow_order: Arc<Order>,
+    heat_order: Arc<Order>,
+    flow: BlockMatrix,
+    heat: BlockMatrix,
+    factors: Option<Factors>,
+    pub counts: Counts,
+}
+
+/// How much work was done.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    pub steps: usize,
+    pub factorisations: usize,
+    pub iterations: usize,
+    /// Bytes of the flow's factors.
+    pub bytes: usize,
+}
+
+/// The border of the flow's matrix: columns B, rows C, and D.
+#[derive(Debug, Clone, Default)]
+struct Border {
+    columns: Vec<Vec<f64>>,
+    rows: Vec<Vec<f64>>,
+    corner: Vec<Vec<f64>>,
+    /// Whether the first one is lambda.
+    pins: bool,
+}
+
+/// The unknown whose pressure is 0.
+const PIN: usize = 2;
+
+struct Factors {
+    lu: SparseLu,
+    /// The matrix that was factorised, for refinement.
+    matrix: BlockMatrix,
+    border: Border,
+    /// A^-1 B and A^-T C^T.
+    columns: Vec<Vec<f64>>,
+    rows: Vec<Vec<f64>>,
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Solves a small dense system.
+fn dense(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
+    let n = b.len();
+    for k in 0..n {
+        let best = (k..n).max_by(|&i, &j| a[i][k].abs().total_cmp(&a[j][k].abs())).unwrap_or(k);
+        a.swap(k, best);
+        b.swap(k, best);
+        for row in k + 1..n {
+            let factor = a[row][k] / a[k][k];
+            for column in k..n {
+                a[row][column] -= factor * a[k][column];
+            }
+            b[row] -= factor * b[k];
+        }
+    }
+    for k in (0..n).rev() {
+        for later in k + 1..n {
+            b[k] -= a[k][later] * b[later];
+        }
+        b[k] /= a[k][k];
+    }
+    b
+}
+
+impl Factors {
+    fn new(order: &Arc<Order>, matrix: &BlockMatrix, border: &Border, threads: usize) -> Result<Self, Singular> {
+        let mut matrix = matrix.clone();
+        if border.pins {
+            let entry = matrix.entry(PIN / 3, (PIN / 3) as u32);
+            matrix.block_mut(entry)[8] += 1.0;
+        }
+        let lu = SparseLu::new(order, &matrix, threads)?;
+        let mut factors = Self { lu, matrix, border: border.clone(), columns: vec![], rows: vec![] };
+        factors.columns = border.columns.iter().map(|column| factors.refined(column, false)).collect();
+        factors.rows = border.rows.iter().map(|row| factors.refined(row, true)).collect();
+        Ok(factors)
+    }
+
+    /// (A + e e^T)^-1 b or its transpose, with one step of refinement.
+    fn refined(&self, b: &[f64], transposed: bool) -> Vec<f64> {
+        let mut x = self.lu.solve(b, transposed);
+        let product = self.matrix.times(&x, transposed);
+        let rest: Vec<f64> = b.iter().zip(&product).map(|(b, p)| b - p).collect();
+        x.iter_mut().zip(self.lu.solve(&rest, transposed)).for_each(|(x, more)| *x += more);
+        x
+    }
+
+    /// The solution of the bordered system, or of its transpose: `[3 N + m]`.
+    fn solve(&self, right: &[f64], transposed: bool) -> Vec<f64> {
+        let border = &self.border;
+        let m = border.columns.len();
+        let n = right.len() - m;
+        let (mut r, g) = (right[..n].to_vec(), &right[n..]);
+        // In A^T, what is a column is a row; the pinned pressure is 0 or g either way.
+        let (against, solved, pinned) = match transposed {
+            false => (&border.rows, &self.columns, border.pins),
+            true => (&border.columns, &self.rows, false),
+        };
+        if pinned {
+            r[PIN] += g[0];
+        }
+        let mut x = self.refined(&r, transposed);
+        if m == 0 {
+            return x;
+        }
+        let schur: Vec<Vec<f64>> = (0..m)
+            .map(|i| {
+                let corner = |j: usize| if transposed { border.corner[j][i] } else { border.corner[i][j] };
+                (0..m).map(|j| corner(j) - dot(&against[i], &solved[j])).collect()
+            })
+            .collect();
+        let rest: Vec<f64> = (0..m).map(|i| g[i] - dot(&against[i], &x)).collect();
+        let mut e = dense(schur, rest);
+        for (e, column) in e.iter().zip(solved) {
+            x.iter_mut().zip(column).for_each(|(x, c)| *x -= e * c);
+        }
+        if transposed && border.pins {
+            // (A^T + e e^T) x + e e0' = r, so that the number that belongs to A^T is e0' + x of the pin.
+            e[0] += x[PIN];
+        }
+        x.extend(e);
+        x
+    }
+}
+
+impl Solver {
+    /// A solver for particles at these places of the reference cloud.
+    pub fn new(equations: Equations, places: &[[f64; 2]], threads: usize) -> Self {
+        let n = equations.particles();
+        let lists = |stencils: &super::fit::Stencils, size: usize| {
+            BlockMatrix::of_lists(n, size, |i| (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect())
+        };
+        let (flow, heat) = (lists(&equations.flow, 3), lists(&equations.heat, 1));
+        let flow_order = Arc::new(Order::new(&flow, |i| places[i]));
+        let heat_order = match equations.diffusivity {
+            Some(_) => Arc::new(Order::new(&heat, |i| places[i])),
+            None => flow_order.clone(),
+        };
+        Self { equations, threads, flow_order, heat_order, flow, heat, factors: None, counts: Counts::default() }
+    }
+
+    fn border(&self, state: &State, d: &Derivatives, operators: &Operators, held: Option<(&Held, &dyn FlowRate)>) -> Border {
+        let (equations, n) = (&self.equations, self.equations.particles());
+        let mut border = Border { pins: !equations.gives_pressure(), ..Border::default() };
+        if border.pins {
+            let mut row = vec![0.0; 3 * n];
+            row[PIN] = 1.0;
+            border.columns.push((0..3 * n).map(|k| if k % 3 == 2 { 1.0 } else { 0.0 }).collect());
+            border.rows.push(row);
+        }
+        if let Some((held, rate)) = held {
+            let column = (0..3 * n).map(|k| if k % 3 == 0 && k / 3 < equations.inside { -1.0 } else { 0.0 });
+            border.columns.push(column.collect());
+            let mut row = rate.by_state(operators);
+            if let Held::Power { .. } = held {
+                let push = equations.force[0] + state.drive;
+                row.iter_mut().for_each(|x| *x *= push);
+            }
+            border.rows.push(row);
+            let m = border.rows.len();
+            border.corner = vec![vec![0.0; m]; m];
+            if let Held::Power { .. } = held {
+                border.corner[m - 1][m - 1] = rate.value(state, d);
+            }
+        } else {
+            border.corner = vec![vec![0.0; border.rows.len()]; border.rows.len()];
+        }
+        border
+    }
+
+    /// Residuals of flow and border, `[3 N + m]`.
+    fn residual(&self, state: &State, d: &Derivatives, held: Option<(&Held, &dyn FlowRate)>) -> Vec<f64> {
+        let mut residual = self.equations.flow_residual(state, d);
+        if !self.equations.gives_pressure() {
+            residual.push(state.fields[2][PIN / 3]);
+        }
+        if let Some((held, rate)) = held {
+            let flow = rate.value(state, d);
+            residual.push(match held {
+                Held::FlowRate(wanted) => flow - wanted,
+                Held::Power { power, length } => (self.equations.force[0] + state.drive) * flow - power / length,
+            });
+        }
+        residual
+    }
+
+    fn times(&self, border: &Border, x: &[f64], transposed: bool) -> Vec<f64> {
+        let m = border.columns.len();
+        let (own, extra) = x.split_at(x.len() - m);
+        let mut y = self.flow.times(own, transposed);
+        let (columns, rows) = match transposed {
+            false => (&border.columns, &border.rows),
+            true => (&border.rows, &border.columns),
+        };
+        for (column, e) in columns.iter().zip(extra) {
+            y.iter_mut().zip(column).for_each(|(y, c)| *y += c * e);
+        }
+        for (i, row) in rows.iter().enumerate() {
+            let corner = |j: usize| if transposed { border.corner[j][i] } else { border.corner[i][j] };
+            y.push(dot(row, own) + (0..m).map(|j| corner(j) * extra[j]).sum::<f64>());
+        }
+        y
+    }
+
+    /// Solves with the present matrix: by GMRES with the factors that are there, or by new factors.
+    fn solved(&mut self, border: &Border, right: &[f64], tolerance: f64, most: usize, transposed: bool) -> Result<Vec<f64>, Singular> {
+        let count = std::cell::Cell::new(0);
+        if let Some(factors) = &self.factors {
+            let times = |x: &[f64]| {
+                count.set(count.get() + 1);
+                self.times(border, x, transposed)
+            };
+            let found = gmres(right, tolerance, most, &times, &|x: &[f64]| factors.solve(x, transposed));
+            self.counts.iterations += count.get();
+            if let Some(found) = found {
+                return Ok(found);
+            }
+        }
+        self.counts.factorisations += 1;
+        let factors = Factors::new(&self.flow_order, &self.flow, border, self.threads)?;
+        self.counts.bytes = factors.lu.bytes();
+        let mut x = factors.solve(right, transposed);
+        if transposed {
+            // An adjoint must be right to rounding.
+            let product = self.times(border, &x, transposed);
+            let rest: Vec<f64> = right.iter().zip(&product).map(|(r, p)| r - p).collect();
+            x.iter_mut().zip(factors.solve(&rest, transposed)).for_each(|(x, more)| *x += more);
+        }
+        self.factors = Some(factors);
+        Ok(x)
+    }
+
+    /// Finds the steady flow and its temperature, starting from `state`.
+    ///
+    /// # Errors
+    /// No convergence.
+    pub fn settle(&mut self, operators: &Operators, state: &mut State, held: Option<(&Held, &dyn FlowRate)>) -> Result<(), NoSteadyState> {
+        let n = self.equations.particles();
+        let mut scale = 0.0;
+        let mut last = f64::INFINITY;
+        for step in 0..STEPS {
+            let d = self.equations.derivatives(operators, state, false);
+            let residual = self.residual(state, &d, held);
+            let largest = residual.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            if !largest.is_finite() || largest > 1e12 {
+                return Err(NoSteadyState::Diverged { residual: largest });
+            }
+            scale = if step == 0 { largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE) } else { f64::max(scale, f64::MIN_POSITIVE) };
+            // Below this rounding of second derivatives may keep it from falling.
+            if largest <= TOLERANCE * scale || (largest <= 1e-8 * scale && largest > 0.2 * last) {
+                return self.settle_heat(operators, state);
+            }
+            last = largest;
+            self.equations.flow_matrix(state, &d, operators, &mut self.flow);
+            let border = self.border(state, &d, operators, held);
+            let right: Vec<f64> = residual.iter().map(|x| -x).collect();
+            let tolerance = (1e-2 * largest / scale).clamp(1e-6, 1e-3);
+            let change = self.solved(&border, &right, tolerance, ITERATIONS, false)?;
+            self.counts.steps += 1;
+            for i in 0..n {
+                (0..3).for_each(|f| state.fields[f][i] += change[3 * i + f]);
+            }
+            let mut extra = change[3 * n..].iter();
+            if !self.equations.gives_pressure() {
+                state.lambda += extra.next().copied().unwrap_or(0.0);
+            }
+            if held.is_some() {
+                state.drive += extra.next().copied().unwrap_or(0.0);
+            }
+        }
+        Err(NoSteadyState::Diverged { residual: last })
+    }
+
+    fn settle_heat(&mut self, operators: &Operators, state: &mut State) -> Result<(), NoSteadyState> {
+        if self.equations.diffusivity.is_none() {
+            return Ok(());
+        }
+        self.equations.heat_matrix(state, operators, &mut self.heat);
+        let lu = SparseLu::new(&self.heat_order, &self.heat, self.threads)?;
+        for _ in 0..2 {
+            let d = self.equations.derivatives(operators, state, true);
+            let right: Vec<f64> = self.equations.heat_residual(state, &d).iter().map(|x| -x).collect();
+            let change = lu.solve(&right, false);
+            state.fields[3].iter_mut().zip(change).for_each(|(t, change)| *t += change);
+        }
+        Ok(())
+    }
+
+    /// The multipliers of flow `[3 N + m]` and heat `[N]`, given the cotangents of the fields: solutions of R_z^T y = z_bar.
+    ///
+    /// # Errors
+    /// A transposed system that cannot be solved.
+    pub fn adjoint(
+        &mut self,
+        operators: &Operators,
+        state: &State,
+        bar: &[Vec<f64>; 4],
+        drive_bar: f64,
+        held: Option<(&Held, &dyn FlowRate)>,
+    ) -> Result<(Vec<f64>, Option<Vec<f64>>), NoSteadyState> {
+        let n = self.equations.particles();
+        let d = self.equations.derivatives(operators, state, true);
+        let mut heat = None;
+        let mut flow_bar: Vec<f64> = (0..3 * n).map(|k| bar[k % 3][k / 3]).collect();
+        if self.equations.diffusivity.is_some() {
+            if bar[3].iter().any(|&x| x != 0.0) {
+                self.equations.heat_matrix(state, operators, &mut self.heat);
+                let lu = SparseLu::new(&self.heat_order, &self.heat, self.threads)?;
+                let mut y = lu.solve(&bar[3], true);
+                let product = self.heat.times(&y, true);
+                let rest: Vec<f64> = bar[3].iter().zip(&product).map(|(b, p)| b - p).collect();
+                y.iter_mut().zip(lu.solve(&rest, true)).for_each(|(y, more)| *y += more);
+                for (i, by) in self.equations.heat_by_velocity(&d, &y).iter().enumerate() {
+                    (0..2).for_each(|e| flow_bar[3 * i + e] -= by[e]);
+                }
+                heat = Some(y);
+            } else {
+                heat = Some(vec![0.0; n]);
+            }
+        }
+        self.equations.flow_matrix(state, &d, operators, &mut self.flow);
+        let border = self.border(state, &d, operators, held);
+        flow_bar.resize(3 * n + border.columns.len(), 0.0);
+        if let (Some(_), Some(last)) = (held, flow_bar.last_mut()) {
+            *last = drive_bar;
+        }
+        let flow = self.solved(&border, &flow_bar, 1e-12, ADJOINT_ITERATIONS, true)?;
+        if flow.iter().any(|x| !x.is_finite()) {
+            return Err(NoSteadyState::Adjoint);
+        }
+        Ok((flow, heat))
+    }
+
+    /// Forgets the factors, for a state far from the last one.
+    pub fn forget(&mut self) {
+        self.factors = None;
+    }
+}
+
+/// Whether derivatives are all zero, for tests of what a figure reads.
+
+/// Whether a side lets fluid through.
+pub fn is_open(motion: Motion) -> bool {
+    match motion {
+        Motion::Given([u, v]) => u != 0.0 || v != 0.0,
+        Motion::Outflow(_) => true,
+        Motion::Symmetry(_) => false,
+    }
+}
