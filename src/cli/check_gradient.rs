@@ -1,5 +1,6 @@
 //! `hydrograd check-gradient`: checks the design gradient against differences.
 
+use super::around_shapes;
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files::{self, write_json};
 use super::page;
@@ -75,6 +76,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
+    if loaded.config.is_around_shapes() {
+        return around_shapes::check_gradient(&loaded, &folder);
+    }
     // The adjoint is checked, whatever gradient an optimiser uses.
     let mut config = loaded.config.clone();
     if config.optimise.gradient == GradientMode::Differences {

@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand.
 
-pub mod arguments;
+pub mod around_shapes;
+mod arguments;
 pub mod bench;
 mod calibrate;
 mod check_gradient;

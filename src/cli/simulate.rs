@@ -1,5 +1,6 @@
 //! `hydrograd simulate`: runs a scene, with figures, plots and frames.
 
+use super::around_shapes;
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
 use super::files::{self, CHECKPOINT};
@@ -104,6 +105,10 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
             .into());
     }
     RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
+    if loaded.config.is_around_shapes() {
+        around_shapes::no_resume(resume)?;
+        return around_shapes::simulate(&loaded, &folder, Earlier::Replaced);
+    }
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
         Precision::F32 => go::<f32>(&loaded, &folder, resume, halvings),

@@ -208,7 +208,7 @@ pub fn report_flow<R: Sweeps>(
 }
 
 /// Prints the dimensionless numbers, and what they take.
-fn print_dimensionless(config: &Config, fastest: f64) {
+pub fn print_dimensionless(config: &Config, fastest: f64) {
     let all = config.dimensionless(fastest);
     let value = |x: f64| if x < 0.1 { format!("{x:.2e}") } else { format!("{x:.4}") };
     let mut text = String::new();

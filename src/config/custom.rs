@@ -15,6 +15,66 @@ section! {
         inlet_until: Option<f64> = None, NotNegative;
         #[serde(skip_serializing_if = "Option::is_none")]
         outlet_from: Option<f64> = None, NotNegative;
+        #[serde(skip_serializing_if = "Sides::is_empty")]
+        sides: Sides = Sides::default();
+    }
+}
+
+/// The conditions on the sides of the box, for fixed particles.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sides {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left: Option<Side>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub right: Option<Side>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bottom: Option<Side>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub top: Option<Side>,
+}
+
+/// The condition on a side of the box.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Side {
+    pub kind: SideKind,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity: Option<Vec<Formula>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature: Option<Formula>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heat_flux: Option<Formula>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SideKind {
+    /// A wall, at rest unless it has a velocity; adiabatic unless it has a temperature or a heat flux.
+    #[default]
+    Wall,
+    /// The velocity (and temperature) of what enters.
+    Inflow,
+    /// Where the fluid leaves: pressure 0, no change across the side.
+    Outflow,
+    /// No flow through the side, and no change across it.
+    Symmetry,
+    Periodic,
+}
+
+impl Sides {
+    pub fn is_empty(&self) -> bool {
+        self.all().iter().all(|(_, side)| side.is_none())
+    }
+
+    /// The sides in the order low x, high x, low y, high y, with their names.
+    pub fn all(&self) -> [(&'static str, Option<&Side>); 4] {
+        [
+            ("left", self.left.as_ref()),
+            ("right", self.right.as_ref()),
+            ("bottom", self.bottom.as_ref()),
+            ("top", self.top.as_ref()),
+        ]
     }
 }
 

@@ -12,6 +12,9 @@ section! {
         dx: f64 = 0.02, Positive;
         kernel: KernelName = KernelName::QuinticSpline;
         smoothing_length: f64 = 0.8, Within(0.5, 3.0);
+        /// Spacing of fixed particles on surfaces of shapes; none: dx / 3.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        surface: Option<f64> = None, Positive;
     }
 }
 

@@ -19,6 +19,61 @@ section! {
         /// Which fields are interpolated, and from which particles, see [`crate::sph::interpolation`].
         interpolation: Interpolation = Interpolation::Flux;
         form: ObjectiveForm = ObjectiveForm::Flux;
+        /// Which shapes a figure of shapes is about; empty: all that have it.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        shapes: Vec<usize> = vec![];
+        #[serde(skip_serializing_if = "Goal::is_larger")]
+        goal: Goal = Goal::Larger;
+        /// A weighted sum instead of `kind`.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        terms: Vec<Term> = vec![];
+    }
+}
+
+/// Whether an objective is to become larger or smaller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Goal {
+    Larger,
+    Smaller,
+}
+
+impl Goal {
+    fn is_larger(&self) -> bool {
+        *self == Self::Larger
+    }
+}
+
+/// A term of an objective that is a sum.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Term {
+    pub kind: ObjectiveKind,
+    pub shapes: Vec<usize>,
+    pub weight: f64,
+}
+
+impl Default for Term {
+    fn default() -> Self {
+        Self { kind: ObjectiveKind::FlowRate, shapes: vec![], weight: 1.0 }
+    }
+}
+
+/// A figure, or a property of shapes, that is held within limits while the objective is improved.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LimitEntry {
+    pub kind: ObjectiveKind,
+    pub shapes: Vec<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at_least: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at_most: Option<f64>,
+}
+
+impl Default for LimitEntry {
+    fn default() -> Self {
+        Self { kind: ObjectiveKind::Area, shapes: vec![], at_least: None, at_most: None }
     }
 }
 
@@ -32,6 +87,26 @@ pub enum ObjectiveKind {
     /// The heat that the walls give to the fluid upstream of the targets.
     WallHeat,
     FlowRate,
+    /// Force of the fluid on shapes along x, and along y.
+    Drag,
+    Lift,
+    LiftOverDrag,
+    /// Torque of the fluid on shapes about their centres.
+    Torque,
+    /// Heat that leaves shapes.
+    ShapeHeat,
+    PressureDrop,
+    Dissipation,
+    /// Area of shapes, and the smallest distance between them or to walls; for limits.
+    Area,
+    Distance,
+}
+
+impl ObjectiveKind {
+    /// Whether only fixed particles around shapes have this figure.
+    pub fn is_of_shapes(self) -> bool {
+        !matches!(self, Self::HeatOutflow | Self::OutletTemperature | Self::WallHeat | Self::FlowRate)
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

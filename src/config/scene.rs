@@ -14,6 +14,7 @@ pub use crate::config::method::consistent::{Consistent, IntegratorName, ShiftNam
 pub use crate::config::method::fixed::Fixed;
 pub use crate::config::method::standard::{DensityEquation, DensityGradient, FluxName, Standard, ViscousPairs};
 pub use crate::config::method::Method;
+pub use crate::config::optimise::{Goal, LimitEntry, Term};
 pub use crate::config::optimise::{DynamicsName, GradientMode, Interpolation, Objective, ObjectiveForm, ObjectiveKind};
 pub use crate::config::optimise::{Optimise, OptimiserName, Search};
 pub use crate::config::run::{Output, Precision, Run};
@@ -32,6 +33,9 @@ pub struct Config {
     /// Numbers of shapes that an optimiser may change.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub variables: Vec<VariableEntry>,
+    /// Figures that are held within limits by an optimiser.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub limits: Vec<LimitEntry>,
     pub initial: Fields,
     /// The exact solution of a scene of one's own.
     pub exact: Fields,

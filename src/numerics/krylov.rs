@@ -1,5 +1,7 @@
 //! GMRES (Saad and Schultz 1986) with a preconditioner on the right.
 
+use super::sparse_lu::dot;
+
 /// Solves A x = b to a relative residual, or returns none after `most` products with A.
 ///
 /// `times` is the product with A and `precondition` an approximate solution with A.
@@ -11,7 +13,7 @@ pub fn gmres(
     precondition: &dyn Fn(&[f64]) -> Vec<f64>,
 ) -> Option<Vec<f64>> {
     let n = b.len();
-    let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let norm = |x: &[f64]| dot(x, x).sqrt();
     let size = norm(b);
     if size == 0.0 {
         return Some(vec![0.0; n]);
@@ -28,7 +30,7 @@ pub fn gmres(
         // Twice, so that the basis is orthogonal to rounding.
         for round in 0..2 {
             for (j, known) in basis.iter().enumerate() {
-                let share: f64 = known.iter().zip(&next).map(|(a, b)| a * b).sum();
+                let share = dot(known, &next);
                 next.iter_mut().zip(known).for_each(|(x, known)| *x -= share * known);
                 match round {
                     0 => column.push(share),

@@ -423,6 +423,8 @@ pub fn check_shape(config: &Config) -> Result<(), BadInput> {
         Family::HeatedChannel3d => {
             start_shape::control_points(config, &SplineSurface::of_config(config, &[])).map(|_| ())
         }
+        // Fixed particles around shapes are placed by the commands that have them.
+        Family::Custom if config.is_around_shapes() => Ok(()),
         Family::Custom => super::custom::build::<f64>(config).map(|_| ()),
         _ => Ok(()),
     }

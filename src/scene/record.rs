@@ -115,11 +115,25 @@ impl Record {
         record
     }
 
-    /// Adds the figures that every run has.
+    /// The record of a steady flow of fixed particles, without its figures.
+    pub fn of_steady(loaded: &Loaded, fastest: f64, seconds: f64) -> Self {
+        let mut record = Self::default();
+        record.put("dimensionless", loaded.config.dimensionless(fastest));
+        record.put_common(loaded, seconds);
+        record
+    }
+
+    /// Adds the figures that every run with steps has.
     fn put_run(&mut self, loaded: &Loaded, steps: usize, seconds: f64) {
         let config = &loaded.config;
         self.put("steps", steps);
         self.put("time_step", config.time_step());
+        self.put_common(loaded, seconds);
+    }
+
+    /// Adds the figures that every run has.
+    fn put_common(&mut self, loaded: &Loaded, seconds: f64) {
+        let config = &loaded.config;
         self.put("wall_seconds", seconds);
         self.put("threads", threads::count());
         self.put("peak_memory_bytes", peak_memory_bytes());

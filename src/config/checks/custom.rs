@@ -1,9 +1,19 @@
 //! Checks of custom scenes and of their design variables.
 
-use crate::config::custom::{Fill, ShapeNumber, VariableEntry};
+use crate::config::custom::{Fill, Kind, ShapeEntry, ShapeNumber, SideKind, VariableEntry};
+use crate::config::formula::Formula;
 use crate::config::range::{countable, is_whole, whole_spacings};
-use crate::config::scene::{Config, ObjectiveKind};
+use crate::config::scene::{Config, DriveName, Family, Goal, ObjectiveKind};
 use crate::error::BadInput;
+
+/// The figures that fixed particles around shapes have.
+const OF_SHAPES: &str = "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation";
+
+/// The first of some numbers that belongs to a curve.
+fn numbers_of_curves(shapes: &[ShapeEntry], numbers: &[ShapeNumber]) -> Option<usize> {
+    let is_curve = |kind: Kind| matches!(kind, Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca);
+    numbers.iter().position(|number| is_curve(shapes[number.shape].kind))
+}
 
 impl Config {
     pub fn has_walls(&self) -> bool {
@@ -27,7 +37,9 @@ impl Config {
         if region.acceleration.iter().any(|x| !x.is_finite()) {
             return Err(bad("region.acceleration", format!("{:?}", region.acceleration)).allowed("finite numbers"));
         }
-        self.check_cells()?;
+        if !self.is_around_shapes() {
+            self.check_cells()?;
+        }
         let has_heat = initial.temperature.is_some();
         initial.at_start(d)?;
         let (_, exact_temperature) = self.exact.of_time(d)?;
@@ -52,6 +64,158 @@ impl Config {
         }
         for (place, shape) in self.shapes.iter().enumerate() {
             shape.check(place, d, has_heat)?;
+        }
+        Ok(())
+    }
+
+    /// Whether particles are fixed around shapes, and the flow is steady.
+    pub fn is_around_shapes(&self) -> bool {
+        self.scene == Family::Custom && !self.method.facts().moves
+    }
+
+    /// Checks that nothing is asked for that only fixed particles around shapes have.
+    pub(super) fn check_no_figures_of_shapes(&self) -> Result<(), BadInput> {
+        let (objective, needs) = (&self.objective, "with method.name = fixed");
+        let bad = |key: &str, what: String| {
+            Err(BadInput::at(key, format!("{key}{what} with method.name = {}", self.method.name()))
+                .allowed(format!("leave it out, or {needs}"))
+                .advice("method.name=fixed"))
+        };
+        if objective.kind.is_of_shapes() {
+            return Err(BadInput::at("objective.kind", format!("objective.kind with method.name = {}", self.method.name()))
+                .allowed(format!("flow-rate, heat-outflow, outlet-temperature or wall-heat; figures of shapes {needs}"))
+                .advice("method.name=fixed, or objective.kind=flow-rate"));
+        }
+        if !objective.shapes.is_empty() || !objective.terms.is_empty() || objective.goal != Goal::Larger {
+            let key = match (objective.shapes.is_empty(), objective.terms.is_empty()) {
+                (false, _) => "objective.shapes",
+                (_, false) => "objective.terms",
+                _ => "objective.goal",
+            };
+            return bad(key, String::new());
+        }
+        if !self.limits.is_empty() {
+            return bad("limits", String::new());
+        }
+        if !self.region.sides.is_empty() {
+            return bad("region.sides", String::new());
+        }
+        if self.resolution.surface.is_some() {
+            return bad("resolution.surface", String::new());
+        }
+        if self.fluid.drive != DriveName::BodyForce {
+            return bad("fluid.drive", " that holds something".into());
+        }
+        match self.shapes.iter().position(|shape| shape.heat_flux.is_some()) {
+            Some(k) => bad(&format!("shapes[{k}].heat_flux"), String::new()),
+            None => Ok(()),
+        }
+    }
+
+    /// Checks a scene of fixed particles around shapes.
+    pub(super) fn check_around_shapes(&self) -> Result<(), BadInput> {
+        let (region, d) = (&self.region, self.dimension());
+        let bad = |key: &str, problem: String| BadInput::at(key, format!("{key} {problem}"));
+        if d != 2 {
+            return Err(bad("region.size", format!("= {:?} with method.name = fixed", region.size))
+                .allowed("two lengths; three with method.name = consistent or standard")
+                .advice("method.name=consistent"));
+        }
+        for (k, shape) in self.shapes.iter().enumerate() {
+            let key = format!("shapes[{k}]");
+            if shape.kind == Kind::Where {
+                return Err(bad(&format!("{key}.kind"), "= where: a formula has no outline that fixed particles could follow".into())
+                    .allowed("box, disc, ellipse, spline, b-spline, naca, polygon, polyline, file")
+                    .advice("method.name=consistent"));
+            }
+            if shape.fill == Fill::Fluid {
+                return Err(bad(&format!("{key}.fill"), "= fluid with method.name = fixed".into())
+                    .allowed("walls, which are united; what is cut out of a wall with moving particles")
+                    .advice("method.name=consistent"));
+            }
+        }
+        for (key, x) in [("region.inlet_until", region.inlet_until), ("region.outlet_from", region.outlet_from)] {
+            if x.is_some() {
+                return Err(bad(key, "with method.name = fixed, whose flow is steady everywhere".into())
+                    .allowed("region.sides with left = { kind = \"inflow\", velocity = [..], temperature = .. } and an outflow"));
+            }
+        }
+        let has_heat = self.initial.temperature.is_some();
+        for (k, (name, side)) in region.sides.all().into_iter().enumerate() {
+            let Some(side) = side else { continue };
+            let key = |more: &str| format!("region.sides.{name}.{more}");
+            let needs_velocity = side.kind == SideKind::Inflow;
+            let may_velocity = matches!(side.kind, SideKind::Inflow | SideKind::Wall);
+            if needs_velocity && side.velocity.is_none() {
+                return Err(bad(&key("velocity"), "is missing".into()).allowed("two formulas, such as [\"4*y*(1 - y)\", 0]"));
+            }
+            if !may_velocity && (side.velocity.is_some() || side.temperature.is_some() || side.heat_flux.is_some()) {
+                return Err(bad(&key("kind"), "has neither velocity nor temperature nor heat_flux".into())
+                    .allowed("those of inflow and wall"));
+            }
+            if needs_velocity && has_heat && side.temperature.is_none() {
+                return Err(bad(&key("temperature"), "is missing: what temperature enters?".into()).allowed("a formula"));
+            }
+            if !has_heat && (side.temperature.is_some() || side.heat_flux.is_some()) {
+                return Err(bad(&key("temperature"), "in a scene without heat".into())
+                    .allowed("with initial.temperature, which gives the scene its heat")
+                    .advice("initial.temperature=1.0"));
+            }
+            if let Some(velocity) = &side.velocity {
+                crate::config::custom::functions(&key("velocity"), velocity, d, Formula::function)?;
+            }
+            for (more, formula) in [("temperature", &side.temperature), ("heat_flux", &side.heat_flux)] {
+                if let Some(formula) = formula {
+                    formula.function(&key(more), d)?;
+                }
+            }
+            if (side.kind == SideKind::Periodic) != region.periodic[k / 2] {
+                return Err(bad(&key("kind"), format!("and region.periodic = {:?} do not agree", region.periodic))
+                    .allowed("region.periodic = true for both sides that are periodic, and false for all others"));
+            }
+        }
+        self.check_objective_of_shapes(has_heat)
+    }
+
+    fn check_objective_of_shapes(&self, has_heat: bool) -> Result<(), BadInput> {
+        let objective = &self.objective;
+        let one = |key: &str, kind: ObjectiveKind, shapes: &[usize], limit: bool| {
+            let bad = |what: &str| BadInput::at(key, format!("{key}: {what}"));
+            if let Some(wrong) = shapes.iter().find(|&&k| k >= self.shapes.len()) {
+                return Err(bad(&format!("there is no shape {wrong}"))
+                    .allowed(format!("0 ... {}, the places of shapes in the file", self.shapes.len().saturating_sub(1))));
+            }
+            let about_heat = matches!(kind, ObjectiveKind::ShapeHeat | ObjectiveKind::HeatOutflow);
+            if about_heat && !has_heat {
+                return Err(bad("heat in a scene without it").allowed("with initial.temperature").advice("initial.temperature=0.0"));
+            }
+            match kind {
+                ObjectiveKind::Area | ObjectiveKind::Distance if !limit => {
+                    Err(bad("area and distance are for limits").allowed("[[limits]] with at_least or at_most"))
+                }
+                ObjectiveKind::OutletTemperature | ObjectiveKind::WallHeat => {
+                    Err(bad("this figure belongs to moving particles").allowed(OF_SHAPES).advice("objective.kind=shape-heat"))
+                }
+                _ => Ok(()),
+            }
+        };
+        // A scene without variables needs no objective, and the default is about heat.
+        if !self.variables.is_empty() && objective.terms.is_empty() {
+            one("objective.kind", objective.kind, &objective.shapes, false)?;
+        }
+        for (k, term) in objective.terms.iter().enumerate() {
+            one(&format!("objective.terms[{k}]"), term.kind, &term.shapes, false)?;
+            if term.kind == ObjectiveKind::LiftOverDrag {
+                let key = format!("objective.terms[{k}].kind");
+                return Err(BadInput::at(&key, format!("{key} = lift-over-drag, which is no sum")).allowed("objective.kind"));
+            }
+        }
+        for (k, limit) in self.limits.iter().enumerate() {
+            let key = format!("limits[{k}]");
+            one(&key, limit.kind, &limit.shapes, true)?;
+            if limit.at_least.is_none() && limit.at_most.is_none() {
+                return Err(BadInput::at(&key, format!("{key} limits nothing")).allowed("at_least, at_most, or both"));
+            }
         }
         Ok(())
     }
@@ -110,6 +274,7 @@ impl Config {
             }
             let entry = &self.shapes[found.shape];
             let formulas = entry.velocity.iter().flatten().chain(&entry.temperature);
+            let formulas = formulas.into_iter().filter(|_| !self.is_around_shapes());
             if let Some(formula) = formulas.into_iter().find(|formula| formula.0.trim().parse::<f64>().is_err()) {
                 return Err(bad(
                     "number",
@@ -131,6 +296,17 @@ impl Config {
             .advice("method.name=consistent"));
         }
         let (objective, along) = (&self.objective, self.region.size[0]);
+        if self.is_around_shapes() {
+            return self.optimise.check(self.run.precision);
+        }
+        if let Some(k) = numbers_of_curves(&self.shapes, &self.shape_numbers()) {
+            return Err(BadInput::at(
+                format!("variables[{k}].number"),
+                format!("variables[{k}].number = \"{}\": points of moving particles do not follow curves", self.variables[k].number),
+            )
+            .allowed("numbers of boxes, discs, polylines and polygons; those of curves with method.name = fixed")
+            .advice("method.name=fixed"));
+        }
         if !has_heat && objective.kind != ObjectiveKind::FlowRate {
             return Err(BadInput::at("objective.kind", "objective.kind is about heat, and the scene has none")
                 .allowed("flow-rate; the others with initial.temperature")

@@ -7,12 +7,12 @@ mod steps;
 mod tank;
 
 use crate::config::builtin::SCENES;
-use crate::config::custom::{ShapeEntry, VariableEntry};
+use crate::config::custom::{ShapeEntry, Side, Sides, VariableEntry};
 use crate::config::formula::Formula;
 use crate::config::method::kind::Facts;
 use crate::config::method::Method;
 use crate::config::range::{Number, Range};
-use crate::config::scene::{Config, Family, GradientMode, KernelName};
+use crate::config::scene::{Config, Family, Goal, GradientMode, KernelName, LimitEntry, Term};
 use crate::config::schema::{values, Alternative, Schema};
 use crate::error::BadInput;
 use std::collections::BTreeMap;
@@ -38,6 +38,17 @@ impl Schema for Config {
         config.time.step = Some(1.0);
         config.shapes = vec![ShapeEntry::default()];
         config.variables = vec![VariableEntry::default()];
+        config.limits = vec![LimitEntry::default()];
+        (config.objective.shapes, config.objective.terms) = (vec![0], vec![Term::default()]);
+        config.resolution.surface = Some(0.01);
+        config.objective.goal = Goal::Smaller;
+        let side = Some(Side {
+            velocity: Some(vec![]),
+            temperature: Some(Formula("1".into())),
+            heat_flux: Some(Formula("1".into())),
+            ..Side::default()
+        });
+        config.region.sides = Sides { left: side.clone(), right: side.clone(), bottom: side.clone(), top: side };
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
         config.initial.temperature = Some(Formula("1 + x".into()));
         config.exact.temperature = Some(Formula("1 + x".into()));
@@ -91,8 +102,14 @@ impl Schema for Config {
     fn check_together(&self) -> Result<(), BadInput> {
         self.check_method()?;
         match self.scene {
+            Family::Custom if self.is_around_shapes() => {
+                self.check_custom()?;
+                self.check_around_shapes()?;
+                self.check_variables()
+            }
             Family::Custom => {
                 self.check_custom()?;
+                self.check_no_figures_of_shapes()?;
                 self.check_flow()?;
                 self.check_steps()?;
                 self.check_variables()
@@ -190,7 +207,8 @@ impl Config {
                 other => other.to_string().trim().to_string(),
             };
             let asks = if needing == ANOTHER { what != instead } else { what == needing };
-            if !asks || can(self.method.facts()) || (custom && NOT_OF_CUSTOM.contains(&key)) {
+            let no_steps = self.is_around_shapes() && ["time.adaptive", "optimise.gradient"].contains(&key);
+            if !asks || can(self.method.facts()) || (custom && NOT_OF_CUSTOM.contains(&key)) || no_steps {
                 continue;
             }
             let more = if custom && key == "optimise.gradient" { "differences, " } else { "" };

@@ -98,7 +98,8 @@ pub fn of_config(config: &Config, outlet: Outlet, samples: Samples) -> Arc<dyn O
         }
         ObjectiveKind::OutletTemperature => Quantity::OutletTemperature { outlet },
         ObjectiveKind::WallHeat => Quantity::WallHeat { depth: config.depth() },
-        ObjectiveKind::FlowRate => Quantity::FlowRate { outlet },
+        // The others are of fixed particles around shapes, which have no steps: see [`crate::scene::around_shapes`].
+        _ => Quantity::FlowRate { outlet },
     };
     Arc::new(Mean { of, samples })
 }
@@ -124,6 +125,15 @@ impl Figure {
             ObjectiveKind::HeatOutflow => ("heat outflow", "Q", "outflowing heat", "rho u T length"),
             ObjectiveKind::WallHeat => ("wall heat", "W", "heat from the walls", "rho u T length"),
             ObjectiveKind::FlowRate => ("flow rate", "V", "flow rate", "u length"),
+            ObjectiveKind::Drag => ("drag", "drag", "force along x", "rho u^2 length"),
+            ObjectiveKind::Lift => ("lift", "lift", "force along y", "rho u^2 length"),
+            ObjectiveKind::LiftOverDrag => ("lift over drag", "lift_over_drag", "lift over drag", "1"),
+            ObjectiveKind::Torque => ("torque", "torque", "torque", "rho u^2 length^2"),
+            ObjectiveKind::ShapeHeat => ("heat of shapes", "shape_heat", "heat that leaves shapes", "power / length"),
+            ObjectiveKind::PressureDrop => ("pressure drop", "pressure_drop", "pressure drop", "rho u^2"),
+            ObjectiveKind::Dissipation => ("dissipation", "dissipation", "dissipated power", "power / length"),
+            ObjectiveKind::Area => ("area", "area", "area of shapes", "length^2"),
+            ObjectiveKind::Distance => ("distance", "distance", "smallest distance", "length"),
             ObjectiveKind::OutletTemperature => {
                 ("outlet temperature", "T", "mixed outlet temperature above the inlet's", "scene units")
             }
@@ -132,8 +142,8 @@ impl Figure {
             ObjectiveKind::HeatOutflow => Some("q"),
             ObjectiveKind::WallHeat => Some("wall_heat_flux"),
             ObjectiveKind::FlowRate => Some("flow_rate"),
-            // That one is absolute.
-            ObjectiveKind::OutletTemperature => None,
+            // The outlet temperature that is measured is absolute; the rest belongs to shapes.
+            _ => None,
         };
         // The figure is in flux form, whatever the loss uses.
         let factor = match (config.objective.kind, config.objective.form) {

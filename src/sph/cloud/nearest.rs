@@ -116,30 +116,29 @@ impl Nearest {
     pub fn of(&self, p: [f64; 2], count: usize, wanted: impl Fn(usize, f64) -> bool) -> Vec<(f64, u32)> {
         let width = (0..2).map(|d| self.plane.size[d] / self.counts[d] as f64).fold(f64::MAX, f64::min);
         let centre = self.index(p);
-        let mut found: Vec<(f64, u32)> = vec![];
+        let mut chosen: Vec<(f64, u32)> = Vec::with_capacity(count);
+        // Found, but perhaps not the next nearest.
+        let mut waiting: Vec<(f64, u32)> = vec![];
         let mut members = vec![];
         for ring in 0.. {
             members.clear();
             let any = self.ring(centre, ring, &mut members);
-            let known = found.len();
-            found.extend(members.iter().map(|&i| (self.plane.distance(p, self.places[i as usize]), i)));
-            let mut kept = known;
-            for k in known..found.len() {
-                if wanted(found[k].1 as usize, found[k].0) {
-                    found[kept] = found[k];
-                    kept += 1;
+            waiting.extend(members.iter().map(|&i| (self.plane.distance(p, self.places[i as usize]), i)));
+            // All within this distance are found.
+            let certain = if any { ring as f64 * width } else { f64::INFINITY };
+            let mut ready: Vec<(f64, u32)> = waiting.iter().copied().filter(|(distance, _)| *distance <= certain).collect();
+            waiting.retain(|(distance, _)| *distance > certain);
+            ready.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            for (distance, i) in ready {
+                if chosen.len() < count && wanted(i as usize, distance) {
+                    chosen.push((distance, i));
                 }
             }
-            found.truncate(kept);
-            // All within this distance are found.
-            let certain = ring as f64 * width;
-            if !any || found.iter().filter(|(distance, _)| *distance <= certain).count() >= count {
+            if !any || chosen.len() >= count {
                 break;
             }
         }
-        found.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        found.truncate(count);
-        found
+        chosen
     }
 
     /// The distance from the nearest place.

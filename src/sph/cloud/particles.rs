@@ -15,6 +15,8 @@ pub const HEAT_NEIGHBOURS: usize = 19;
 /// Velocity and temperature that points of the boundary have, by place. The flow's material constants.
 pub trait Surroundings: Debug + Send + Sync {
     fn condition(&self, point: &BoundaryPoint, place: [f64; 2]) -> (Motion, Warmth);
+    /// The shape that a point on a side of the box belongs to, if one is behind it.
+    fn shape_behind(&self, point: &BoundaryPoint, place: [f64; 2]) -> Option<usize>;
     /// Whether conditions depend on the place of a point that moves with a shape.
     fn varies(&self, shape: usize) -> bool;
 }

@@ -13,7 +13,7 @@
 
 use super::equations::{Derivatives, Equations, Motion, Operators, State};
 use crate::numerics::krylov::gmres;
-use crate::numerics::sparse_lu::{BlockMatrix, Order, Singular, SparseLu};
+use crate::numerics::sparse_lu::{dot, BlockMatrix, Order, Singular, SparseLu};
 use std::sync::Arc;
 
 /// Why there is no steady state.
@@ -102,10 +102,6 @@ struct Factors {
     rows: Vec<Vec<f64>>,
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
 /// Solves a small dense system.
 fn dense(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
@@ -139,14 +135,17 @@ impl Factors {
         }
         let lu = SparseLu::new(order, &matrix, threads)?;
         let mut factors = Self { lu, matrix, border: border.clone(), columns: vec![], rows: vec![] };
-        factors.columns = border.columns.iter().map(|column| factors.refined(column, false)).collect();
-        factors.rows = border.rows.iter().map(|row| factors.refined(row, true)).collect();
+        factors.columns = border.columns.iter().map(|column| factors.inner(column, false, true)).collect();
+        factors.rows = border.rows.iter().map(|row| factors.inner(row, true, true)).collect();
         Ok(factors)
     }
 
-    /// (A + e e^T)^-1 b or its transpose, with one step of refinement.
-    fn refined(&self, b: &[f64], transposed: bool) -> Vec<f64> {
+    /// (A + e e^T)^-1 b or its transpose, with one step of refinement if it shall be exact.
+    fn inner(&self, b: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
         let mut x = self.lu.solve(b, transposed);
+        if !exact {
+            return x;
+        }
         let product = self.matrix.times(&x, transposed);
         let rest: Vec<f64> = b.iter().zip(&product).map(|(b, p)| b - p).collect();
         x.iter_mut().zip(self.lu.solve(&rest, transposed)).for_each(|(x, more)| *x += more);
@@ -154,7 +153,7 @@ impl Factors {
     }
 
     /// The solution of the bordered system, or of its transpose: `[3 N + m]`.
-    fn solve(&self, right: &[f64], transposed: bool) -> Vec<f64> {
+    fn solve(&self, right: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
         let border = &self.border;
         let m = border.columns.len();
         let n = right.len() - m;
@@ -167,7 +166,7 @@ impl Factors {
         if pinned {
             r[PIN] += g[0];
         }
-        let mut x = self.refined(&r, transposed);
+        let mut x = self.inner(&r, transposed, exact);
         if m == 0 {
             return x;
         }
@@ -278,7 +277,7 @@ impl Solver {
                 count.set(count.get() + 1);
                 self.times(border, x, transposed)
             };
-            let found = gmres(right, tolerance, most, &times, &|x: &[f64]| factors.solve(x, transposed));
+            let found = gmres(right, tolerance, most, &times, &|x: &[f64]| factors.solve(x, transposed, false));
             self.counts.iterations += count.get();
             if let Some(found) = found {
                 return Ok(found);
@@ -287,12 +286,12 @@ impl Solver {
         self.counts.factorisations += 1;
         let factors = Factors::new(&self.flow_order, &self.flow, border, self.threads)?;
         self.counts.bytes = factors.lu.bytes();
-        let mut x = factors.solve(right, transposed);
+        let mut x = factors.solve(right, transposed, true);
         if transposed {
             // An adjoint must be right to rounding.
             let product = self.times(border, &x, transposed);
             let rest: Vec<f64> = right.iter().zip(&product).map(|(r, p)| r - p).collect();
-            x.iter_mut().zip(factors.solve(&rest, transposed)).for_each(|(x, more)| *x += more);
+            x.iter_mut().zip(factors.solve(&rest, transposed, false)).for_each(|(x, more)| *x += more);
         }
         self.factors = Some(factors);
         Ok(x)

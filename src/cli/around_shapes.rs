@@ -1,0 +1,274 @@
+//! `simulate` and `check-gradient` of fixed particles around shapes, whose flow is steady.
+
+use super::files::{self, write_json};
+use super::page;
+use super::run_folder::{Earlier, RunFolder};
+use super::simulate_report::{print_dimensionless, warn};
+use crate::config::custom::Part;
+use crate::config::scene::Config;
+use crate::design::objectives::Figure;
+use crate::error::{BadInput, Error};
+use crate::io::vtk::VtkSeries;
+use crate::numerics::interrupt;
+use crate::numerics::threads::{count, in_words};
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::scene::around_shapes::AroundShapes;
+use crate::scene::load::{Loaded, Source};
+use crate::scene::record::Record;
+use crate::scene::warnings::Warning;
+use crate::sph::cloud::problem::Solution;
+use serde_json::{json, Value};
+use std::path::Path;
+use std::time::Instant;
+
+/// Surface and balance may differ by this before there is a warning.
+const IMBALANCE: f64 = 0.05;
+
+/// Numbers of a solution that a table shows.
+fn number(figures: &[(&'static str, Value)], name: &str) -> Option<f64> {
+    figures.iter().find(|(other, _)| *other == name).and_then(|(_, value)| value.as_f64())
+}
+
+/// The fastest particle.
+fn fastest(solution: &Solution) -> f64 {
+    let [u, v, ..] = &solution.state.fields;
+    u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f64::max)
+}
+
+/// Warnings about a solution: figures of a surface that do not agree with the balance.
+pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
+    let figures = around.summary(solution);
+    let shapes = figures.iter().find(|(name, _)| *name == "shapes").and_then(|(_, shapes)| shapes.as_array().cloned());
+    let mut found = vec![];
+    for (k, shape) in shapes.into_iter().flatten().enumerate() {
+        for (name, by_surface) in [("force", "force_by_surface"), ("heat", "heat_by_surface")] {
+            let of = |key: &str| match &shape[key] {
+                Value::Array(parts) => parts.iter().filter_map(Value::as_f64).map(|x| x * x).sum::<f64>().sqrt(),
+                value => value.as_f64().unwrap_or(f64::NAN),
+            };
+            let (balanced, own) = (of(name), of(by_surface));
+            let off = (own / balanced - 1.0).abs();
+            if off > IMBALANCE {
+                found.push(Warning {
+                    code: "imbalance".into(),
+                    value: Some(off),
+                    limit: Some(IMBALANCE),
+                    problem: format!(
+                        "the {name} of shapes[{k}] by its own surface and by the balance of the flow differ by {:.1} %: it is not resolved",
+                        100.0 * off
+                    ),
+                    advice: format!("resolution.dx={}", around.finer_spacing()),
+                });
+            }
+        }
+    }
+    found
+}
+
+/// Prints the figures of a solution.
+pub fn print_figures(config: &Config, figures: &[(&'static str, Value)]) {
+    let has_heat = config.initial.temperature.is_some();
+    for (name, label) in [
+        ("flow_rate", "flow rate"),
+        ("pressure_drop", "pressure drop"),
+        ("dissipation", "dissipation"),
+        ("body_force", "body force"),
+        ("heat_outflow", "heat outflow"),
+    ] {
+        if let Some(value) = number(figures, name) {
+            println!("{label:<20}{value:.6}");
+        }
+    }
+    let mut header = vec!["shape", "drag", "lift", "torque"];
+    if has_heat {
+        header.extend(["heat", "heat by surface"]);
+    }
+    header.push("drag by surface");
+    let mut table = Table::new(header);
+    let shapes = figures.iter().find(|(name, _)| *name == "shapes").and_then(|(_, shapes)| shapes.as_array());
+    for (k, shape) in shapes.into_iter().flatten().enumerate() {
+        let of = |value: &Value| value.as_f64().map_or(String::new(), |x| format!("{x:.6}"));
+        if shape["force"].is_null() {
+            continue;
+        }
+        let mut row = vec![format!("shapes[{k}]"), of(&shape["force"][0]), of(&shape["force"][1]), of(&shape["torque"])];
+        if has_heat {
+            row.extend([of(&shape["heat"]), of(&shape["heat_by_surface"])]);
+        }
+        row.push(of(&shape["force_by_surface"][0]));
+        table.row(row);
+    }
+    if shapes.is_some_and(|shapes| !shapes.is_empty()) {
+        println!("{}", table.to_text());
+    }
+    if let Some(objective) = number(figures, "objective") {
+        let Figure { quantity, .. } = Figure::of_config(config);
+        let what = if config.objective.terms.is_empty() { quantity } else { "sum of objective.terms" };
+        println!("objective           {objective:.6}   {what}");
+    }
+}
+
+/// `hydrograd simulate`: the steady flow, with figures, pictures and a frame for ParaView.
+pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let clock = Instant::now();
+    let mut around = AroundShapes::new(config)?;
+    let solution = around.solve(&around.first())?;
+    let seconds = clock.elapsed().as_secs_f64();
+    interrupt::check()?;
+    let own = RunFolder::take(folder, "simulate", earlier)?;
+    files::write_config(folder, loaded)?;
+    let end = around.fields(&solution);
+    end.write(folder, loaded)?;
+    let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
+    end.with_frame(|frame| series.write(frame))?;
+    let heat = files::plot_flow_and_heat(folder, &[("steady", &end)], config.resolution.dx)?;
+    let figures = around.summary(&solution);
+    let record = record(loaded, &around, &solution, seconds);
+    files::write_summary(folder, &record)?;
+    let counts = around.flow.solver.counts;
+    println!(
+        "{} fixed particles, steady after {} steps of Newton's method in {seconds:.2} s on {}",
+        around.flow.cloud.particles(),
+        counts.steps,
+        in_words(count())
+    );
+    print_figures(config, &figures);
+    print_dimensionless(config, fastest(&solution));
+    println!(
+        "files in {}: report.html, summary.json, flow.png{}, state.h5, particles/particles.pvd (ParaView)",
+        folder.display(),
+        if heat { ", temperature.png" } else { "" }
+    );
+    if !config.variables.is_empty() {
+        println!("next: hydrograd optimize {}    changes its variables so that the objective becomes {}", source(loaded), goal(config));
+    }
+    warn(&record.warnings());
+    page::write(folder)?;
+    own.finish()
+}
+
+/// Refuses to resume a steady flow, which is found anew in a moment.
+pub fn no_resume(resume: Option<&Path>) -> Result<(), BadInput> {
+    match resume {
+        None => Ok(()),
+        Some(_) => Err(BadInput::new("a steady flow of fixed particles has no part that could be resumed")
+            .place("--resume")
+            .allowed("a new run")),
+    }
+}
+
+/// The scene as an argument of another command.
+fn source(loaded: &Loaded) -> String {
+    match &loaded.source {
+        Source::BuiltIn(name) => name.to_string(),
+        Source::File(path) => path.display().to_string(),
+    }
+}
+
+/// What the objective is to become.
+pub fn goal(config: &Config) -> &'static str {
+    match config.objective.goal {
+        crate::config::scene::Goal::Larger => "larger",
+        crate::config::scene::Goal::Smaller => "smaller",
+    }
+}
+
+/// The summary of a steady flow.
+pub fn record(loaded: &Loaded, around: &AroundShapes, solution: &Solution, seconds: f64) -> Record {
+    let mut record = Record::of_steady(loaded, fastest(solution), seconds);
+    for (name, value) in around.summary(solution) {
+        record.put(name, value);
+    }
+    record.put_warnings(loaded, warnings_of(around, solution));
+    record
+}
+
+/// Largest relative difference of gradient and differences.
+const TOLERANCE: f64 = 1e-6;
+/// Steps of differences: in spacings of the surface, and in degrees.
+const STEP: f64 = 0.04;
+const DEGREES: f64 = 0.05;
+
+/// `hydrograd check-gradient`: value and gradient of the steady objective by every variable, and differences beside it.
+pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let clock = Instant::now();
+    let mut around = AroundShapes::new(config)?;
+    let first = around.first();
+    let solution = around.solve(&first)?;
+    let (value, terms) = around.objective(&solution);
+    let solved = clock.elapsed().as_secs_f64();
+    let clock = Instant::now();
+    let gradient = around.gradient(&solution, &terms)?;
+    let seconds = clock.elapsed().as_secs_f64();
+    let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
+    let bar = Progress::new(first.len() as u64, "check-gradient");
+    let numbers = config.shape_numbers();
+    let surface = around.flow.cloud.ground.surface;
+    let mut differences = vec![];
+    for k in 0..first.len() {
+        interrupt::check()?;
+        let step = if numbers[k].part == Part::Angle { DEGREES } else { STEP * surface };
+        // Richardson's extrapolation of two central differences.
+        let mut central = |step: f64| -> Result<f64, Error> {
+            let mut at = |x: f64| {
+                let mut moved = first.clone();
+                moved[k] += x;
+                let solution = around.solve(&moved)?;
+                Ok::<f64, Error>(around.objective(&solution).0)
+            };
+            Ok((at(step)? - at(-step)?) / (2.0 * step))
+        };
+        let (wide, narrow) = (central(step)?, central(0.5 * step)?);
+        differences.push((4.0 * narrow - wide) / 3.0);
+        bar.done(1);
+    }
+    bar.finish();
+    let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    let errors: Vec<f64> = gradient.iter().zip(&differences).map(|(g, d)| (g - d).abs() / norm).collect();
+    let worst = errors.iter().copied().fold(0.0, f64::max);
+    let passed = worst <= TOLERANCE;
+    files::write_config(folder, loaded)?;
+    let mut table = Table::new(["variable", "gradient", "differences", "difference / |gradient|"]);
+    for (k, variable) in config.variables.iter().enumerate() {
+        table.row([
+            variable.number.clone(),
+            format!("{:+.9e}", gradient[k]),
+            format!("{:+.9e}", differences[k]),
+            format!("{:.1e}", errors[k]),
+        ]);
+    }
+    let report = json!({
+        "passed": passed,
+        "tolerance": TOLERANCE,
+        "worst_relative_error": worst,
+        "objective_kind": config.objective.kind,
+        "objective": value,
+        "gradient": gradient,
+        "gradient_norm": norm,
+        "differences": differences,
+        "variables": config.variables.iter().map(|variable| &variable.number).collect::<Vec<_>>(),
+        "solve_seconds": solved,
+        "gradient_seconds": seconds,
+    });
+    write_json(&folder.join("gradient_check.json"), &report)?;
+    page::write(folder)?;
+    println!(
+        "{} fixed particles, {} variables, objective {value:.9}, |gradient| = {norm:.4e}; flow in {solved:.2} s, gradient in {seconds:.2} s",
+        around.flow.cloud.particles(),
+        first.len()
+    );
+    println!("{}", table.to_text());
+    println!("files in {}: gradient_check.json, report.html", folder.display());
+    if !passed {
+        return Err(Error::run(
+            format!("the gradient check FAILED: difference {worst:.1e} of the gradient's length, allowed {TOLERANCE:.0e}"),
+            around.finer_advice(),
+        )
+        .into());
+    }
+    println!("PASSED: difference {worst:.1e} of the gradient's length, allowed {TOLERANCE:.0e}");
+    own.finish()
+}

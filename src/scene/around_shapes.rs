@@ -1,0 +1,543 @@
+//! Custom scenes of fixed particles: the steady flow around the shapes of a configuration, its figures and objective.
+
+use super::particle_fields::ParticleFields;
+use crate::config::custom::{functions, Part, ShapeEntry, ShapeNumber, Side, SideKind};
+use crate::config::formula::{Formula, Function};
+use crate::config::scene::{Config, DriveName, Goal, ObjectiveKind};
+use crate::error::{BadInput, Error};
+use crate::numerics::threads;
+use crate::particles::tag;
+use crate::sph::cloud::equations::{Motion, Warmth};
+use crate::sph::cloud::figures::Figure;
+use crate::sph::cloud::nearest::Plane;
+use crate::sph::cloud::outline::{area, Outline};
+use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
+use crate::sph::cloud::placing::{is_inside, BoundaryPoint, Ground, Unplaceable};
+use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
+use crate::sph::cloud::steady::{Held, NoSteadyState};
+use serde_json::{json, Value};
+use std::sync::Arc;
+
+/// Corners are rounded to this radius, in spacings of the surface.
+const ROUNDED: f64 = 1.0;
+
+/// The steady flow of a configuration.
+pub struct AroundShapes {
+    pub flow: SteadyFlow,
+    config: Config,
+    /// Shape and number in its outline of each of `variables`.
+    pub wanted: Vec<(usize, usize)>,
+}
+
+/// Conditions on walls, by formulas.
+#[derive(Debug)]
+struct Conditions {
+    plane: Plane,
+    dx: f64,
+    shapes: Vec<OnWall>,
+    sides: [Option<(SideKind, OnWall)>; 4],
+    polygons: Vec<Vec<[f64; 2]>>,
+    reference: f64,
+    /// Density times heat capacity.
+    capacity: f64,
+}
+
+/// The formulas of a wall.
+#[derive(Debug, Default)]
+struct OnWall {
+    velocity: Vec<Function>,
+    temperature: Option<Function>,
+    heat_flux: Option<Function>,
+    varies: bool,
+}
+
+impl OnWall {
+    fn new(
+        key: &str,
+        velocity: Option<&Vec<Formula>>,
+        temperature: Option<&Formula>,
+        heat_flux: Option<&Formula>,
+    ) -> Result<Self, BadInput> {
+        let one = |name: &str, formula: Option<&Formula>| {
+            formula.map(|formula| formula.function(&format!("{key}.{name}"), 2)).transpose()
+        };
+        let all = velocity.into_iter().flatten().chain(temperature).chain(heat_flux);
+        Ok(Self {
+            varies: all.into_iter().any(|formula| formula.0.trim().parse::<f64>().is_err()),
+            velocity: match velocity {
+                Some(velocity) => functions(&format!("{key}.velocity"), velocity, 2, Formula::function)?,
+                None => vec![],
+            },
+            temperature: one("temperature", temperature)?,
+            heat_flux: one("heat_flux", heat_flux)?,
+        })
+    }
+
+    fn of_shape(k: usize, entry: &ShapeEntry) -> Result<Self, BadInput> {
+        let ShapeEntry { velocity, temperature, heat_flux, .. } = entry;
+        Self::new(&format!("shapes[{k}]"), velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
+    }
+
+    fn condition(&self, place: [f64; 2], reference: f64, capacity: f64) -> (Motion, Warmth) {
+        let at = |function: &Function| function.at([place[0], place[1], 0.0]);
+        let mut velocity = [0.0; 2];
+        self.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
+        let warmth = match (&self.temperature, &self.heat_flux) {
+            (Some(temperature), _) => Warmth::Given(at(temperature) - reference),
+            (None, flux) => Warmth::Flux(flux.as_ref().map_or(0.0, at) / capacity),
+        };
+        (Motion::Given(velocity), warmth)
+    }
+}
+
+impl Surroundings for Conditions {
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 2]) -> (Motion, Warmth) {
+        let adiabatic = Warmth::Flux(0.0);
+        if let Some((shape, _)) = point.on {
+            return self.shapes[shape].condition(place, self.reference, self.capacity);
+        }
+        if let Some((kind, wall)) = point.side.and_then(|side| self.sides[side].as_ref()) {
+            let along = point.side.unwrap_or_default() / 2;
+            return match kind {
+                SideKind::Outflow => (Motion::Outflow(along), adiabatic),
+                SideKind::Symmetry => (Motion::Symmetry(along), adiabatic),
+                _ => wall.condition(place, self.reference, self.capacity),
+            };
+        }
+        match self.shape_behind(point, place) {
+            Some(shape) => self.shapes[shape].condition(place, self.reference, self.capacity),
+            None => (Motion::Given([0.0; 2]), adiabatic),
+        }
+    }
+
+    fn shape_behind(&self, point: &BoundaryPoint, place: [f64; 2]) -> Option<usize> {
+        if point.on.is_some() || point.side.is_some_and(|side| self.sides[side].is_some()) {
+            return None;
+        }
+        let behind: [f64; 2] = std::array::from_fn(|d| place[d] - 0.25 * self.dx * point.normal[d]);
+        let steps = |d: usize| if self.plane.periodic[d] { vec![0.0, -self.plane.size[d], self.plane.size[d]] } else { vec![0.0] };
+        let images: Vec<[f64; 2]> = steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect();
+        let covers = |polygon: &Vec<[f64; 2]>| {
+            images.iter().any(|image| is_inside([behind[0] + image[0], behind[1] + image[1]], polygon))
+        };
+        self.polygons.iter().rposition(covers)
+    }
+
+    fn varies(&self, shape: usize) -> bool {
+        self.shapes[shape].varies
+    }
+}
+
+/// The value of an objective or limit with its derivative by the variables.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judged {
+    pub value: f64,
+    pub by_variables: Vec<f64>,
+}
+
+fn outlines(entries: &[ShapeEntry], surface: f64) -> Vec<Outline> {
+    entries.iter().filter_map(|entry| Outline::new(entry, ROUNDED * surface)).collect()
+}
+
+impl AroundShapes {
+    /// The steady flow of a checked configuration, see [`Config::is_around_shapes`].
+    ///
+    /// # Errors
+    /// Shapes that cannot be resolved.
+    pub fn new(config: &Config) -> Result<Self, Error> {
+        let (region, fluid, dx) = (&config.region, &config.fluid, config.resolution.dx);
+        let surface = config.resolution.surface.unwrap_or(dx / 3.0).min(dx);
+        let plane = Plane { size: [region.size[0], region.size[1]], periodic: [region.periodic[0], region.periodic[1]] };
+        let outlines = outlines(&config.shapes, surface);
+        let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry));
+        let side = |(name, side): (&'static str, Option<&Side>)| {
+            let Some(side) = side else { return Ok(None) };
+            let Side { kind, velocity, temperature, heat_flux } = side;
+            let key = format!("region.sides.{name}");
+            OnWall::new(&key, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref()).map(|wall| Some((*kind, wall)))
+        };
+        let [left, right, bottom, top] = region.sides.all().map(side);
+        let polygon = |outline: &Outline| {
+            outline.points(&outline.samples(8), &outline.numbers).iter().map(|on| on.place).collect::<Vec<[f64; 2]>>()
+        };
+        let conditions = Conditions {
+            plane,
+            dx,
+            shapes: shapes.collect::<Result<_, BadInput>>()?,
+            sides: [left?, right?, bottom?, top?],
+            polygons: outlines.iter().map(polygon).collect(),
+            reference: fluid.inlet_temperature,
+            capacity: fluid.density * fluid.heat_capacity,
+        };
+        let materials = Fluid {
+            viscosity: config.kinematic_viscosity(),
+            diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
+            force: [region.acceleration[0], region.acceleration[1]],
+            velocity: fluid.reference_velocity,
+        };
+        let held = match fluid.drive {
+            DriveName::BodyForce => None,
+            DriveName::FlowRate => fluid.flow_rate.map(Held::FlowRate),
+            DriveName::PumpingPower => fluid
+                .pumping_power
+                .map(|power| Held::Power { power: power / fluid.density, length: region.size[0] }),
+        };
+        let ground = Ground { plane, dx, surface, outlines };
+        let threads = threads::count();
+        let cloud = Cloud::new(ground, materials, Arc::new(conditions), threads).map_err(|why| unusable(config, &why))?;
+        let numbers = config.shape_numbers();
+        let wanted = numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();
+        for (k, &(shape, _)) in wanted.iter().enumerate() {
+            if !cloud.places.bodies.contains(&shape) {
+                let key = format!("variables[{k}].number");
+                let problem = format!("{key} = \"{}\": the shape touches another wall, or reaches out of the box", config.variables[k].number);
+                return Err(BadInput::at(&key, problem)
+                    .allowed("numbers of shapes that stand in the fluid, with method.name = fixed")
+                    .advice("method.name=consistent")
+                    .into());
+            }
+        }
+        let flow = SteadyFlow::new(cloud, held, None, threads).map_err(|why| unusable(config, &why))?;
+        Ok(Self { flow, config: config.clone(), wanted })
+    }
+
+    /// A spacing to try where this one is too coarse, and the advice to do so.
+    pub fn finer_spacing(&self) -> f64 {
+        finer_spacing(&self.config)
+    }
+
+    pub fn finer_advice(&self) -> String {
+        finer(&self.config)
+    }
+
+    /// The variables of the configuration.
+    pub fn first(&self) -> Vec<f64> {
+        let numbers = self.flow.cloud.numbers();
+        self.wanted.iter().map(|&(shape, k)| numbers[shape][k]).collect()
+    }
+
+    fn numbers(&self, variables: &[f64]) -> Vec<Vec<f64>> {
+        let mut numbers = self.flow.cloud.numbers();
+        self.wanted.iter().zip(variables).for_each(|(&(shape, k), x)| numbers[shape][k] = *x);
+        numbers
+    }
+
+    /// The steady flow for these variables.
+    ///
+    /// # Errors
+    /// A cloud that folds, and a flow that does not become steady.
+    pub fn solve(&mut self, variables: &[f64]) -> Result<Solution, Error> {
+        let numbers = self.numbers(variables);
+        self.flow.solve(&numbers).map_err(|why| no_solution(&self.config, &why))
+    }
+
+    /// Factors that give figures their units: forces have the density, heat has density and heat capacity.
+    fn unit(&self, figure: Figure) -> f64 {
+        let fluid = &self.config.fluid;
+        match figure {
+            Figure::FlowRate => 1.0,
+            Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
+            _ => fluid.density,
+        }
+    }
+
+    pub fn value(&self, solution: &Solution, figure: Figure) -> f64 {
+        self.unit(figure) * self.flow.value(solution, figure)
+    }
+
+    /// The figures whose sum a kind of objective is.
+    fn figures(&self, kind: ObjectiveKind, shapes: &[usize]) -> Vec<Figure> {
+        let all: Vec<usize> = match shapes {
+            [] => self.flow.cloud.places.touching.clone(),
+            given => given.to_vec(),
+        };
+        let each = |of: &dyn Fn(usize) -> Figure| all.iter().map(|&shape| of(shape)).collect();
+        match kind {
+            ObjectiveKind::Drag => each(&|shape| Figure::Force { shape, along: 0 }),
+            ObjectiveKind::Lift => each(&|shape| Figure::Force { shape, along: 1 }),
+            ObjectiveKind::Torque => each(&|shape| Figure::Torque { shape }),
+            ObjectiveKind::ShapeHeat => each(&|shape| Figure::Heat { shape }),
+            ObjectiveKind::HeatOutflow => vec![Figure::HeatOutflow],
+            ObjectiveKind::PressureDrop => vec![Figure::PressureDrop],
+            ObjectiveKind::Dissipation => vec![Figure::Dissipation],
+            _ => vec![Figure::FlowRate],
+        }
+    }
+
+    fn sum(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> f64 {
+        self.figures(kind, shapes).iter().map(|&figure| self.value(solution, figure)).sum()
+    }
+
+    /// The value of a kind of objective and its terms: figures with the derivative of the value by each.
+    fn terms(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> (f64, Vec<(Figure, f64)>) {
+        let part = |kind: ObjectiveKind, weight: f64| -> Vec<(Figure, f64)> {
+            self.figures(kind, shapes).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
+        };
+        if kind == ObjectiveKind::LiftOverDrag {
+            let (lift, drag) = (self.sum(solution, ObjectiveKind::Lift, shapes), self.sum(solution, ObjectiveKind::Drag, shapes));
+            let terms = [part(ObjectiveKind::Lift, 1.0 / drag), part(ObjectiveKind::Drag, -lift / (drag * drag))].concat();
+            return (lift / drag, terms);
+        }
+        (self.sum(solution, kind, shapes), part(kind, 1.0))
+    }
+
+    /// The objective's value and terms.
+    pub fn objective(&self, solution: &Solution) -> (f64, Vec<(Figure, f64)>) {
+        let objective = &self.config.objective;
+        if objective.terms.is_empty() {
+            return self.terms(solution, objective.kind, &objective.shapes);
+        }
+        let mut all = (0.0, vec![]);
+        for term in &objective.terms {
+            let (value, terms) = self.terms(solution, term.kind, &term.shapes);
+            all.0 += term.weight * value;
+            all.1.extend(terms.into_iter().map(|(figure, weight)| (figure, term.weight * weight)));
+        }
+        all
+    }
+
+    /// 1 for an objective that is to become larger, -1 for one that is to become smaller.
+    pub fn sign(&self) -> f64 {
+        match self.config.objective.goal {
+            Goal::Larger => 1.0,
+            Goal::Smaller => -1.0,
+        }
+    }
+
+    /// The derivative of weighted figures by the variables.
+    ///
+    /// # Errors
+    /// A transposed system that cannot be solved, and a derivative that is not finite.
+    pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
+        let wanted = self.wanted.clone();
+        let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
+        match found.iter().position(|g| !g.is_finite()) {
+            Some(k) => Err(Error::diverged(format!("the gradient by variable {k} is {}", found[k]), "resolution.dx smaller by a third")),
+            None => Ok(found),
+        }
+    }
+
+    /// Value and derivative of a limit that needs no flow: area or distance; none for other kinds.
+    pub fn of_shapes(&self, kind: ObjectiveKind, shapes: &[usize], variables: &[f64]) -> Option<Judged> {
+        let numbers = self.numbers(variables);
+        let outlines = &self.flow.cloud.ground.outlines;
+        let chosen: Vec<usize> = if shapes.is_empty() { self.flow.cloud.places.bodies.clone() } else { shapes.to_vec() };
+        let mut by_variables = vec![0.0; self.wanted.len()];
+        let fine: Vec<Vec<f64>> = outlines.iter().map(|outline| outline.samples(24)).collect();
+        let points: Vec<_> = (0..outlines.len()).map(|k| outlines[k].points(&fine[k], &numbers[k])).collect();
+        match kind {
+            ObjectiveKind::Area => {
+                for (by, &(shape, number)) in by_variables.iter_mut().zip(&self.wanted) {
+                    if chosen.contains(&shape) {
+                        let slopes = outlines[shape].slopes(&fine[shape], &numbers[shape], number);
+                        let n = slopes.len();
+                        *by = 0.5
+                            * (0..n)
+                                .map(|k| {
+                                    let (a, b) = (slopes[k].place, slopes[(k + 1) % n].place);
+                                    (a[0] * b[1] - a[1] * b[0]).slope
+                                })
+                                .sum::<f64>();
+                    }
+                }
+                Some(Judged { value: chosen.iter().map(|&k| area(&points[k]).abs()).sum(), by_variables })
+            }
+            ObjectiveKind::Distance => {
+                let (plane, corners) = (self.flow.cloud.ground.plane, self.flow.cloud.places.corners);
+                // The nearest pair: (distance, direction from a to b, a, b or none for a side).
+                let mut nearest: (f64, [f64; 2], (usize, usize), Option<(usize, usize)>) = (f64::INFINITY, [0.0; 2], (0, 0), None);
+                for &a in &chosen {
+                    for (i, p) in points[a].iter().enumerate() {
+                        for d in (0..2).filter(|&d| !plane.periodic[d]) {
+                            for (end, sign) in [(0, -1.0), (1, 1.0)] {
+                                let distance = sign * (corners[end][d] - p.place[d]);
+                                if distance < nearest.0 {
+                                    let direction = std::array::from_fn(|e| if e == d { sign } else { 0.0 });
+                                    nearest = (distance, direction, (a, i), None);
+                                }
+                            }
+                        }
+                        for b in (0..points.len()).filter(|&b| b != a && self.flow.cloud.places.bodies.contains(&b)) {
+                            for (j, q) in points[b].iter().enumerate().step_by(2) {
+                                let r = plane.between(p.place, q.place);
+                                let distance = r[0].hypot(r[1]);
+                                if distance < nearest.0 {
+                                    nearest = (distance, r.map(|x| x / distance), (a, i), Some((b, j)));
+                                }
+                            }
+                        }
+                    }
+                }
+                let (value, direction, (a, i), other) = nearest;
+                for (by, &(shape, number)) in by_variables.iter_mut().zip(&self.wanted) {
+                    for (at, sign) in std::iter::once(((a, i), -1.0)).chain(other.map(|other| (other, 1.0))) {
+                        if at.0 == shape {
+                            let slope = outlines[shape].slopes(&[fine[shape][at.1]], &numbers[shape], number)[0].place;
+                            *by += sign * (direction[0] * slope[0].slope + direction[1] * slope[1].slope);
+                        }
+                    }
+                }
+                Some(Judged { value, by_variables })
+            }
+            _ => None,
+        }
+    }
+
+    /// The value and terms of a limit on a figure of the flow.
+    pub fn of_limit(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> (f64, Vec<(Figure, f64)>) {
+        self.terms(solution, kind, shapes)
+    }
+
+    /// The figures of a flow by name, for its summary.
+    pub fn summary(&self, solution: &Solution) -> Vec<(&'static str, Value)> {
+        let has_heat = self.config.initial.temperature.is_some();
+        let at = self.flow.at(solution);
+        let measures = &self.flow.measures;
+        let value = |figure: Figure| self.value(solution, figure);
+        let fluid = &self.config.fluid;
+        let capacity = fluid.density * fluid.heat_capacity;
+        let shapes = (0..self.config.shapes.len()).map(|shape| {
+            let mut record = serde_json::Map::new();
+            let force: Vec<f64> = (0..2).map(|along| value(Figure::Force { shape, along })).collect();
+            let of_surface: Vec<f64> = (0..2).map(|along| fluid.density * measures.surface_force(&at, shape, along)).collect();
+            record.insert("force".into(), json!(force));
+            record.insert("force_by_surface".into(), json!(of_surface));
+            record.insert("torque".into(), json!(value(Figure::Torque { shape })));
+            if has_heat {
+                record.insert("heat".into(), json!(value(Figure::Heat { shape })));
+                record.insert("heat_by_surface".into(), json!(capacity * measures.surface_heat(&at, shape)));
+                record.insert("largest_heat_flux".into(), json!(capacity * measures.largest_heat_flux(&at, shape)));
+            }
+            Value::Object(record)
+        });
+        let mut all = vec![
+            ("particles", json!(self.flow.cloud.particles())),
+            ("flow_rate", json!(value(Figure::FlowRate))),
+            ("shapes", shapes.collect::<Value>()),
+            ("pressure_drop", json!(value(Figure::PressureDrop))),
+            ("dissipation", json!(value(Figure::Dissipation))),
+            ("body_force", json!(self.config.region.acceleration[0] + solution.state.drive)),
+        ];
+        if has_heat {
+            all.push(("heat_outflow", json!(value(Figure::HeatOutflow))));
+        }
+        // A scene without variables may have another scene's objective.
+        let objective = &self.config.objective;
+        if has_heat || objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty() {
+            all.push(("objective_kind", json!(objective.kind)));
+            all.push(("objective", json!(self.objective(solution).0)));
+        }
+        let counts = self.flow.solver.counts;
+        all.push(("newton_steps", json!(counts.steps)));
+        all.push(("factorisations", json!(counts.factorisations)));
+        all.push(("volume_rest", json!(solution.state.lambda)));
+        all
+    }
+
+    /// The particles with their fields, for files and pictures.
+    pub fn fields(&self, solution: &Solution) -> ParticleFields {
+        let cloud = &self.flow.cloud;
+        let (n, inside, fluid) = (cloud.particles(), cloud.places.inside, &self.config.fluid);
+        let state = &solution.state.fields;
+        let plane = cloud.ground.plane;
+        let wrapped: Vec<[f64; 2]> =
+            (0..n).map(|i| plane.wrapped([solution.shaped.position[0][i], solution.shaped.position[1][i]])).collect();
+        let tag_of = |i: usize| {
+            if i < inside {
+                return tag::FLUID;
+            }
+            let condition = solution.shaped.conditions[i - inside];
+            match (condition.motion, condition.warmth) {
+                (_, Warmth::Given(_)) if self.config.initial.temperature.is_some() => tag::HOT_WALL,
+                (Motion::Given([u, v]), _) if u != 0.0 || v != 0.0 => tag::MOVING_WALL,
+                _ => tag::WALL,
+            }
+        };
+        ParticleFields {
+            dimension: 2,
+            box_size: self.config.region.size.clone(),
+            position: (0..2).flat_map(|d| wrapped.iter().map(move |p| p[d])).collect(),
+            velocity: [state[0].clone(), state[1].clone()].concat(),
+            temperature: self
+                .config
+                .initial
+                .temperature
+                .is_some()
+                .then(|| state[3].iter().map(|t| t + fluid.inlet_temperature).collect()),
+            density: vec![fluid.density; n],
+            pressure: state[2].iter().map(|p| fluid.density * p).collect(),
+            mass: cloud.places.spacing.iter().map(|h| fluid.density * h * h).collect(),
+            tag: (0..n).map(tag_of).collect(),
+            time: 0.0,
+            step: 0,
+        }
+    }
+}
+
+/// The shape and the place among the numbers of its outline of a number.
+fn place_of(cloud: &Cloud, number: &ShapeNumber) -> Option<(usize, usize)> {
+    let parts: &[Part] = &cloud.ground.outlines.get(number.shape)?.parts;
+    Some((number.shape, parts.iter().position(|part| *part == number.part)?))
+}
+
+/// Two thirds of the spacing, in three digits.
+fn finer_spacing(config: &Config) -> f64 {
+    let dx = config.resolution.dx / 1.5;
+    let digits = 10f64.powi(2 - dx.log10().floor() as i32);
+    (dx * digits).floor() / digits
+}
+
+fn finer(config: &Config) -> String {
+    format!("resolution.dx={}", finer_spacing(config))
+}
+
+fn unusable(config: &Config, why: &Unusable) -> Error {
+    let at = |[x, y]: &[f64; 2]| format!("({x:.4}, {y:.4})");
+    let bad = match why {
+        Unusable::Placing(Unplaceable::Narrow { shape, width }) => BadInput::at(
+            format!("shapes[{shape}]"),
+            format!("shapes[{shape}] is {width:.2e} from another wall, too near for particles in between"),
+        )
+        .allowed("walls that overlap, or that are at least about a spacing apart"),
+        Unusable::Placing(Unplaceable::Thin { shape, width }) => {
+            BadInput::at(format!("shapes[{shape}]"), format!("shapes[{shape}] is about {width:.2e} thick, which is too thin"))
+                .allowed("shapes that are thicker than a third of resolution.dx")
+        }
+        Unusable::Placing(Unplaceable::Full) => {
+            BadInput::at("shapes", "the shapes leave hardly any fluid").allowed("a box that is mostly fluid")
+        }
+        Unusable::Lonely(place) => {
+            BadInput::at("shapes", format!("the particle at {} has too few neighbours that no wall hides", at(place)))
+                .allowed("shapes that leave room for a few spacings of fluid")
+        }
+        Unusable::Folded(place) => BadInput::at(
+            "variables",
+            format!("the particles around the shapes fold at {}: a shape moved too far, or into another wall", at(place)),
+        )
+        .allowed("shapes that stay apart, in the box"),
+        Unusable::Singular => {
+            BadInput::at("shapes", "the particles around the shapes have no map").allowed("shapes that are apart from each other")
+        }
+    };
+    bad.advice(finer(config)).into()
+}
+
+fn no_solution(config: &Config, why: &NoSolution) -> Error {
+    match why {
+        NoSolution::Cloud(Unusable::Folded([x, y])) => Error::diverged(
+            format!("the particles fold at ({x:.4}, {y:.4}): a shape moved too far from where they were placed"),
+            finer(config),
+        ),
+        NoSolution::Cloud(why) => unusable(config, why),
+        NoSolution::Flow(NoSteadyState::Singular) => {
+            Error::diverged("the linearised flow has no solution: what drives or holds the fluid?".to_string(), finer(config))
+        }
+        NoSolution::Flow(NoSteadyState::Diverged { residual }) => Error::diverged(
+            format!("no steady flow was found: Newton's method ends with a residual of {residual:.1e}, also from a flow of 8 times the viscosity"),
+            format!("{}, or fluid.viscosity={}", finer(config), 2.0 * config.fluid.viscosity),
+        ),
+        NoSolution::Flow(NoSteadyState::Adjoint) => {
+            Error::diverged("the gradient's equations were not solved".to_string(), finer(config))
+        }
+    }
+}
