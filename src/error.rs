@@ -150,6 +150,11 @@ impl BadInput {
         self
     }
 
+    /// The advice; empty if there is none.
+    pub fn advised(&self) -> &str {
+        self.advice.as_deref().unwrap_or_default()
+    }
+
     /// Changes the advice; an empty one is left out.
     pub fn readvised(mut self, change: impl Fn(&str) -> String) -> Self {
         self.advice = self.advice.map(|advice| change(&advice)).filter(|advice| !advice.is_empty());

@@ -643,10 +643,7 @@ fn particles_begin_apart_from_walls_and_from_each_other() {
 
 /// The findings of a custom scene with this text.
 fn findings(text: &str) -> Findings {
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), format!("scene = \"custom\"\n{text}")).unwrap();
-    let loaded = Config::load(file.path().to_str(), None, &[]).unwrap_or_else(|error| panic!("{error}"));
-    Findings::of(&loaded.config, &Scene::<f64>::from_config(&loaded.config).unwrap()).unwrap()
+    Findings::of(&config(text), &consistent(text)).unwrap()
 }
 
 fn warns(findings: &Findings, part: &str) -> bool {

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use toml_edit::{Array, Value};
 
 use super::build_design;
+use super::plausible::Findings;
+use super::warnings::Warning;
 use crate::config::before;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
@@ -17,7 +19,7 @@ use crate::config::range::WHOLE;
 use crate::config::scene::{Config, DesignWalls, DynamicsName, Family, GradientMode, Search, Start, Trust};
 use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
-use crate::config::suggest::{assignments, possible};
+use crate::config::suggest::{assignments, changed, first_assignments, key_of, possible};
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
 use crate::design::{start_shape, Scheduled};
@@ -81,22 +83,19 @@ impl Config {
 
     /// [`Config::load`] for settings that carry the names of command-line options for error messages.
     ///
-    /// The alternatives in the advice of an error are tried, and those that lead to the same error are left out.
+    /// The alternatives in the advice of an error are tried. Those that lead to the same error are left out, and others are
+    /// completed by what the next error or flaw of the scene asks for.
     pub fn load_settings(
         scene_or_file: Option<&str>,
         preset: Option<&str>,
         settings: &[Setting],
     ) -> Result<Loaded, Error> {
         Self::load_once(scene_or_file, preset, settings).map_err(|bad| {
-            let works = |assignments: &[&str]| {
-                let more = [settings, &assignments.iter().copied().map(Setting::set).collect::<Vec<_>>()].concat();
-                let is_about =
-                    |other: &BadInput, one: &&str| one.split('=').next().is_some_and(|key| other.is_about(key));
-                Self::load_once(scene_or_file, preset, &more)
-                    .err()
-                    .is_none_or(|other| !other.is_like(&bad) && !assignments.iter().any(|one| is_about(&other, one)))
+            let load = |all: &[String]| {
+                let more = all.iter().map(|one| Setting::set(one));
+                Self::load_once(scene_or_file, preset, &settings.iter().cloned().chain(more).collect::<Vec<_>>())
             };
-            bad.clone().readvised(|advice| possible(advice, works)).into()
+            bad.clone().readvised(|advice| changed(advice, |one, sets| completed(one, sets, &bad, load))).into()
         })
     }
 
@@ -170,6 +169,12 @@ impl Loaded {
                 other.config != *now && (!shorter || other.config.time_step() < now.time_step() * (1.0 - WHOLE))
             })
         })
+    }
+
+    /// Warnings with that of their advice which is [`Self::possible`].
+    pub fn advised_warnings(&self, mut warnings: Vec<Warning>) -> Vec<Warning> {
+        warnings.iter_mut().for_each(|warning| warning.advice = self.possible(&warning.advice));
+        warnings
     }
 
     /// An error of a run of this scene with the advice that is [`Self::possible`]. That of a divergence begins with
@@ -262,6 +267,53 @@ impl Loaded {
         let schedule = problem.schedule(&self.config.optimise, self.config.run.precision).map_err(located)?;
         Ok(Scheduled { problem, schedule })
     }
+}
+
+/// Largest number of things against which one suggestion is completed.
+const MOST_AT_ONCE: usize = 5;
+
+/// A suggestion against the error `bad` with all that the scene needs besides, as far as can be told before it runs; none
+/// if it does not help.
+fn completed(
+    one: &str,
+    first: &[&str],
+    bad: &BadInput,
+    load: impl Fn(&[String]) -> Result<Loaded, BadInput>,
+) -> Option<String> {
+    let mut all: Vec<String> = first.iter().map(|one| one.to_string()).collect();
+    let mut good = None;
+    for round in 0..MOST_AT_ONCE {
+        let next = match load(&all) {
+            Ok(loaded) => {
+                good = Some(all.clone());
+                let flaw = Findings::expected_flaw(&loaded.config).ok().flatten();
+                flaw.map_or(String::new(), |flaw| flaw.advice)
+            }
+            Err(other) if other.is_like(bad) || all.iter().any(|set| other.is_about(key_of(set))) => {
+                if round == 0 {
+                    return None;
+                }
+                break;
+            }
+            Err(other) => other.advised().to_string(),
+        };
+        let before = all.clone();
+        for set in first_assignments(&next) {
+            match all.iter_mut().find(|old| key_of(old) == key_of(set)) {
+                Some(old) => *old = set.to_string(),
+                None => all.push(set.to_string()),
+            }
+        }
+        if all == before {
+            break;
+        }
+    }
+    let Some(good) = good else { return Some(one.to_string()) };
+    let same = first.iter().zip(&good).fold(one.to_string(), |text, (old, new)| text.replace(old, new));
+    Some(match &good[first.len()..] {
+        [] => same,
+        more => format!("{same} and {} (else it may fail next)", more.join(" ")),
+    })
 }
 
 /// Number of keys of the shortest complete configuration of the heated channel.
