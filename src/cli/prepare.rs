@@ -22,7 +22,8 @@ pub fn use_threads(threads: usize) {
     threads::use_threads(threads);
     let (asked, cores) = (threads.max(threads::count()), cores());
     if asked > cores {
-        let problem = format!("{} are more than there are cores for: {cores}", in_words(asked));
+        let problem =
+            format!("{} on {cores} {}: no faster", in_words(asked), if cores == 1 { "core" } else { "cores" });
         guard::warn(&problem, &format!("run.threads={cores}, or 0 (every core that the process may use)"));
     }
 }

@@ -184,7 +184,15 @@ impl Loaded {
             Error::Input(bad) => bad.readvised(|advice| self.possible(advice)).into(),
             Error::Run { problem, advice } => Error::Run { problem, advice: self.possible(&advice) },
             Error::Diverged { problem, advice, offence } => {
-                let mut advice = self.possible(&advice);
+                let load = |sets: &[String]| {
+                    let settings: Vec<Setting> = sets.iter().map(|one| Setting::set(one)).collect();
+                    self.with(&settings).map_err(|error| match error {
+                        Error::Input(bad) => *bad,
+                        other => BadInput::new(other.to_string()),
+                    })
+                };
+                let bad = BadInput::new(problem.as_str());
+                let mut advice = changed(&self.possible(&advice), |one, sets| completed(one, sets, &bad, load));
                 if assignments(&advice).is_empty() {
                     let half = format!("time.step={:.2e}", 0.5 * self.config.time_step());
                     advice = if advice.is_empty() { half } else { format!("{half}, or {advice}") };
