@@ -403,7 +403,7 @@ fn suggestions_are_completed() {
     let wedge = "[[shapes]]\nkind = \"polygon\"\npoints = [[0.815, 0.2], [0.82, 0.2], [0.818, 0.22]]\n";
     let small = advice(wedge);
     assert!(small.contains("try: initial.temperature=1.0 and resolution.dx="), "{small}");
-    let sets: Vec<&str> = suggest::first_assignments(small.split_once("try: ").unwrap().1);
+    let sets: Vec<&str> = suggest::assignments(suggest::alternatives(small.split_once("try: ").unwrap().1)[0]);
     loaded_with(&format!("{warm}{wedge}"), &sets).unwrap();
 }
 
@@ -412,7 +412,8 @@ fn suggestions_are_completed() {
 fn formulas_that_end_at_a_periodic_side_are_a_flaw() {
     let of = |positive: &str| {
         let text = format!("[[shapes]]\nkind = \"where\"\npositive = \"{positive}\"\n");
-        Findings::expected_flaw(&config(&text)).unwrap().map(|flaw| flaw.why)
+        let open = Cause { why: String::new(), advice: String::new(), is_open: true };
+        findings(&text).cause(&config(&text), &open, &[0.1, 0.1]).unwrap().map(|cause| cause.why)
     };
     let cut = of("0.2 - abs(x - 0.15)").unwrap();
     assert!(cut.contains("ends at the periodic side"), "{cut}");

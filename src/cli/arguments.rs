@@ -177,12 +177,9 @@ impl CommonArguments {
 
 /// Checks that the name of `out` is text.
 pub(super) fn check_text(out: &Path) -> Result<(), BadInput> {
-    match out.to_str() {
-        Some(_) => Ok(()),
-        None => Err(BadInput::new("a name that is not text (UTF-8), which files of results could not hold")
-            .place(format!("--out {}", out.display()))
-            .allowed("a name of UTF-8 text")),
-    }
+    let bad = || BadInput::new("a name that is not text (UTF-8), which files of results could not hold");
+    let bad = || bad().place(format!("--out {}", out.display())).allowed("a name of UTF-8 text");
+    out.to_str().map(drop).ok_or_else(bad)
 }
 
 /// Checks that `folder` is one or can be created, without leaving anything behind.

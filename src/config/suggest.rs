@@ -51,11 +51,6 @@ pub fn is_key(word: &str) -> bool {
     word.starts_with(|c: char| c.is_ascii_lowercase()) && word.chars().all(is_of_key)
 }
 
-/// Advice without those alternatives whose assignments do not work; empty if none is left.
-pub fn possible(advice: &str, works: impl Fn(&[&str]) -> bool) -> String {
-    changed(advice, |one, assignments| works(assignments).then(|| one.to_string()))
-}
-
 /// Advice whose alternatives with assignments are changed or, if there is nothing in their place, left out.
 pub fn changed(advice: &str, change: impl Fn(&str, &[&str]) -> Option<String>) -> String {
     let all = alternatives(advice);
@@ -69,16 +64,6 @@ pub fn changed(advice: &str, change: impl Fn(&str, &[&str]) -> Option<String>) -
     } else {
         left.join(", or ")
     }
-}
-
-/// The assignments of the first alternative that has any.
-pub fn first_assignments(advice: &str) -> Vec<&str> {
-    alternatives(advice).into_iter().map(assignments).find(|found| !found.is_empty()).unwrap_or_default()
-}
-
-/// The key of an assignment.
-pub fn key_of(assignment: &str) -> &str {
-    assignment.split('=').next().unwrap_or_default()
 }
 
 /// The number with the fewest digits that is near `x` and accepted; `x` if no shorter one is.

@@ -40,8 +40,7 @@ pub fn in_words(threads: usize) -> String {
 /// [`available`]. Must come before the first operator, because the pools read it once.
 pub fn use_threads(threads: usize) {
     for pool in POOLS {
-        // Results do not depend on the number of threads, and those without a core spin away the time of the others: of two
-        // on one core, a run takes 1.3 times as long as of one.
+        // Threads without a core spin away the time of the others (1.3 times on one core); results do not depend on them.
         let threads = match (threads, number(pool)) {
             (0, Some(given)) => given,
             (0, None) => cores(),

@@ -31,8 +31,8 @@ pub(super) fn nearest(config: &Config, place: &[f64]) -> Result<Option<Cause>, B
     for foot in walls.points(places().filter(|p| walls.distance(*p).abs() <= dx)) {
         let (velocity, shape) = custom::wall_at(&walls, &foot)?;
         let out: f64 = velocity.iter().zip(foot.normal).map(|(u, n)| u * n).sum();
-        let thick = walls.way(&foot, -1.0, support * dx);
-        let wide = walls.way(&foot, 1.0, 2.0 * support * dx);
+        let (thick, twice) = (walls.way(&foot, -1.0, support * dx), 2.0 * support);
+        let wide = walls.way(&foot, 1.0, twice * dx).map(|wide| wide / dx);
         let problem = if let (Some(k), true) = (shape, out.abs() > BLOWS * config.fluid.reference_velocity) {
             format!(
                 "shapes[{k}].velocity leads {} the wall with {:.3}, and walls stay where they are: it blows or sucks",
@@ -45,11 +45,7 @@ pub(super) fn nearest(config: &Config, place: &[f64]) -> Result<Option<Cause>, B
                 thick / dx
             )
         } else if let Some(wide) = wide {
-            format!(
-                "the passage is {:.1} spacings wide: below {:.1} a particle's sums reach both walls",
-                wide / dx,
-                2.0 * support
-            )
+            format!("the passage is {wide:.1} spacings wide: below {twice:.1} a particle's sums reach both walls")
         } else {
             continue;
         };

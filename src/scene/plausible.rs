@@ -95,23 +95,17 @@ impl Findings {
     }
 
     /// What is likely to make a configuration's flow diverge, as far as can be told before it runs.
-    ///
-    /// # Errors
-    /// As for building the scene.
-    pub fn expected_flaw(config: &Config) -> Result<Option<Cause>, BadInput> {
-        match config.scene {
-            Family::Custom => Self::of(config, &super::custom::build::<f64>(config)?)?.flaw(config, &[]),
-            _ => Ok(None),
-        }
+    pub(super) fn expected_flaw(config: &Config) -> Result<Option<Cause>, BadInput> {
+        let is_own = config.scene == Family::Custom;
+        is_own
+            .then(|| Self::of(config, &super::custom::build::<f64>(config)?)?.flaw(config, &[]))
+            .map_or(Ok(None), |it| it)
     }
 
     /// The flaw of the walls nearest to a place, or a flow that is too fast. The standard method bears flaws of walls.
     fn flaw(&self, config: &Config, place: &[f64]) -> Result<Option<Cause>, BadInput> {
-        let of_walls = match config.method {
-            Method::Standard(_) => None,
-            _ => flaws::nearest(config, place)?,
-        };
-        Ok(of_walls.or_else(|| self.warned("expected-speed")))
+        let bears = matches!(config.method, Method::Standard(_));
+        Ok(if bears { None } else { flaws::nearest(config, place)? }.or_else(|| self.warned("expected-speed")))
     }
 
     fn warned(&self, code: &str) -> Option<Cause> {

@@ -183,8 +183,9 @@ impl Record {
     }
 
     /// Adds warnings, with that of their advice which the scene allows.
-    pub fn put_warnings(&mut self, loaded: &Loaded, warnings: Vec<Warning>) {
-        self.put("warnings", loaded.advised_warnings(warnings));
+    pub fn put_warnings(&mut self, loaded: &Loaded, mut warnings: Vec<Warning>) {
+        warnings.iter_mut().for_each(|warning| warning.advice = loaded.possible(&warning.advice));
+        self.put("warnings", warnings);
     }
 
     pub fn number(&self, key: &str) -> Option<f64> {
