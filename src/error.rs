@@ -106,10 +106,10 @@ pub fn exit_code(error: &anyhow::Error) -> u8 {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BadInput {
     place: Option<String>,
-    key: Option<String>,
+    pub(crate) key: Option<String>,
     problem: String,
     allowed: Option<String>,
-    advice: Option<String>,
+    pub(crate) advice: Option<String>,
 }
 
 impl BadInput {
@@ -154,11 +154,6 @@ impl BadInput {
     pub fn readvised(mut self, change: impl Fn(&str) -> String) -> Self {
         self.advice = self.advice.map(|advice| change(&advice)).filter(|advice| !advice.is_empty());
         self
-    }
-
-    /// Whether both are about the same key, or both about none.
-    pub fn is_like(&self, other: &Self) -> bool {
-        self.key == other.key
     }
 
     /// Fills in the place from the key, unless a place is known already.

@@ -148,10 +148,18 @@ fn a_folder_whose_name_is_no_text() {
     use std::os::unix::ffi::OsStrExt;
     let case = Case::new(&[]);
     let name = std::ffi::OsStr::from_bytes(b"out\xff");
-    for command in ["simulate", "optimize", "check-gradient"] {
+    let commands: [(&str, &[&str]); 5] = [
+        ("simulate", &[]),
+        ("optimize", &[]),
+        ("check-gradient", &[]),
+        ("compare", &["a", "b"]),
+        ("slurm", &["validate", "--quick"]),
+    ];
+    for (command, more) in commands {
         let mut line = Command::cargo_bin("hydrograd").unwrap();
-        let output = line.current_dir(case.folder.path()).args([command, "--out"]).arg(name).output().unwrap();
-        refused(&[command, "--out"], &output, &["--out out", "not text (UTF-8)", "allowed: a folder"]);
+        line.current_dir(case.folder.path()).args([command, "--out"]).arg(name).args(more);
+        let output = line.output().unwrap();
+        refused(&[command, "--out"], &output, &["--out out", "not text (UTF-8)", "allowed: a name of UTF-8 text"]);
         assert!(files(case.folder.path()).is_empty());
     }
 }

@@ -6,6 +6,7 @@ use hydrograd::adjoint::run::run;
 use hydrograd::config::custom::{Fill, Kind, ShapeEntry};
 use hydrograd::config::formula::Formula;
 use hydrograd::config::scene::{Config, Kernels};
+use hydrograd::config::suggest;
 use hydrograd::particles::{tag, Domain};
 use hydrograd::scene::custom_shape::Shape;
 use hydrograd::scene::distance::{images, Walls};
@@ -350,7 +351,10 @@ fn wrong_files_are_one_clear_error() {
         ),
         (
             "shapes = [{ kind = \"box\", lower = [0.26, 0.1], upper = [0.262, 0.4] }]",
-            &["try: shapes[0].upper=[0.32,0.4], or resolution.dx=0.003125 with method.name=standard"],
+            &[
+                "try: shapes[0].upper=[0.32,0.4] and method.name=standard (else it may fail next), or ",
+                ", or resolution.dx=0.003125 with method.name=standard",
+            ],
         ),
         ("shapes = [{ kind = \"where\", positive = \"1\" }]", &["the shapes leave no fluid"]),
         ("shapes = [{ kind = \"where\", positive = \"x >\" }]", &["shapes[0].positive = \"x >\""]),
@@ -385,6 +389,35 @@ fn wrong_files_are_one_clear_error() {
     std::fs::write(&file, "scene = \"poiseuille\"\n[region]\nsize = [1.0, 1.0]\n").unwrap();
     let error = Config::load(file.to_str(), None, &[]).unwrap_err().to_string();
     assert!(error.contains("`region.size` is not a key of scene poiseuille") && error.contains("custom"), "{error}");
+}
+
+/// One suggestion is enough for a scene that would be refused, or likely to diverge, over several things in a row.
+#[test]
+fn suggestions_are_completed() {
+    let warm = "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\ntemperature = 2\n";
+    let advice = |more: &str| loaded(&format!("{warm}{more}")).unwrap_err().lines().last().unwrap().to_string();
+    assert!(advice("").ends_with("try: initial.temperature=1.0"), "{}", advice(""));
+    let plate = "[[shapes]]\nkind = \"box\"\nlower = [0.1, 0.2]\nupper = [0.2, 0.25]\n";
+    let thin = advice(plate);
+    assert!(thin.ends_with("try: initial.temperature=1.0 and method.name=standard (else it may fail next)"), "{thin}");
+    let wedge = "[[shapes]]\nkind = \"polygon\"\npoints = [[0.815, 0.2], [0.82, 0.2], [0.818, 0.22]]\n";
+    let small = advice(wedge);
+    assert!(small.contains("try: initial.temperature=1.0 and resolution.dx="), "{small}");
+    let sets: Vec<&str> = suggest::assignments(suggest::alternatives(small.split_once("try: ").unwrap().1)[0]);
+    loaded_with(&format!("{warm}{wedge}"), &sets).unwrap();
+}
+
+/// A formula that is cut off by a periodic side leaves a wall without a surface there.
+#[test]
+fn formulas_that_end_at_a_periodic_side_are_a_flaw() {
+    let of = |positive: &str| {
+        let text = format!("[[shapes]]\nkind = \"where\"\npositive = \"{positive}\"\n");
+        let open = Cause { why: String::new(), advice: String::new(), is_open: true };
+        findings(&text).cause(&config(&text), &open, &[0.1, 0.1]).unwrap().map(|cause| cause.why)
+    };
+    let cut = of("0.2 - abs(x - 0.15)").unwrap();
+    assert!(cut.contains("ends at the periodic side"), "{cut}");
+    assert_eq!(of("0.1*(1 + 0.5*sin(2*PI*x)) - y"), None);
 }
 
 fn examples() -> Vec<PathBuf> {
@@ -643,10 +676,7 @@ fn particles_begin_apart_from_walls_and_from_each_other() {
 
 /// The findings of a custom scene with this text.
 fn findings(text: &str) -> Findings {
-    let file = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(file.path(), format!("scene = \"custom\"\n{text}")).unwrap();
-    let loaded = Config::load(file.path().to_str(), None, &[]).unwrap_or_else(|error| panic!("{error}"));
-    Findings::of(&loaded.config, &Scene::<f64>::from_config(&loaded.config).unwrap()).unwrap()
+    Findings::of(&config(text), &consistent(text)).unwrap()
 }
 
 fn warns(findings: &Findings, part: &str) -> bool {

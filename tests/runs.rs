@@ -62,7 +62,8 @@ fn threads_are_said_and_too_many_are_warned_of() {
     let (threads, printed, error) = run("1");
     assert!(threads == 1 && printed.contains(" s on 1 thread (") && error.is_empty(), "{threads} {printed} {error}");
     let (threads, _, error) = run("1000");
-    assert!(threads > 1 && error.starts_with("warning: 1000 threads on "), "{threads} {error}");
+    let cores = std::thread::available_parallelism().unwrap().get() as u64;
+    assert!(threads == cores && error.starts_with("warning: 1000 threads on "), "{threads} {error}");
     assert!(error.contains("try: --threads "), "{error}");
 }
 

@@ -175,6 +175,13 @@ impl CommonArguments {
     }
 }
 
+/// Checks that the name of `out` is text.
+pub(super) fn check_text(out: &Path) -> Result<(), BadInput> {
+    let bad = || BadInput::new("a name that is not text (UTF-8), which files of results could not hold");
+    let bad = || bad().place(format!("--out {}", out.display())).allowed("a name of UTF-8 text");
+    out.to_str().map(drop).ok_or_else(bad)
+}
+
 /// Checks that `folder` is one or can be created, without leaving anything behind.
 pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
     let bad = |problem: String| {
@@ -182,9 +189,7 @@ pub(super) fn check_writable(folder: &Path) -> Result<(), BadInput> {
             .place(format!("--out {}", folder.display()))
             .allowed("a folder that can be written to, or a new one")
     };
-    if folder.to_str().is_none() {
-        return Err(bad("a name that is not text (UTF-8), which files of results could not hold".into()));
-    }
+    check_text(folder)?;
     let existing = folder.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
     if !existing.is_dir() {
         return Err(bad(format!("{} is a file", existing.display())));

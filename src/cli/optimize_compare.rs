@@ -75,7 +75,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<V
 
 /// The configuration with other values of some keys.
 fn with(loaded: &Loaded, pairs: &[(&str, &str)]) -> Result<Loaded, Error> {
-    loaded.with(&pairs.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect::<Vec<_>>())
+    Ok(loaded.with(&pairs.iter().map(|(key, value)| Setting::option("--compare", key, value)).collect::<Vec<_>>())?)
 }
 
 fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<Vec<RunFolder>> {

@@ -22,7 +22,7 @@ pub fn use_threads(threads: usize) {
     threads::use_threads(threads);
     let (asked, cores) = (threads.max(threads::count()), cores());
     if asked > cores {
-        let problem = format!("{} on {cores} cores wait for each other", in_words(asked));
+        let problem = format!("{} on {cores} core(s): no faster", in_words(asked));
         guard::warn(&problem, &format!("run.threads={cores}, or 0 (every core that the process may use)"));
     }
 }

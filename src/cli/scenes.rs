@@ -152,6 +152,7 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         let problem = format!("the first {done} steps fail already: {error}");
         Warning::new("divergence", [done as f64, steps as f64], problem, "what is said above, or a smaller time.cfl")
     }));
+    warnings.iter_mut().for_each(|warning| warning.advice = loaded.possible(&warning.advice));
     let of_criterion = |one: &Criterion| json!({ "name": one.name, "allows": one.dt, "by": one.formula });
     let kinds: Map<String, Value> =
         findings.particles.iter().map(|(name, count)| (name.to_string(), json!(count))).collect();
@@ -178,7 +179,8 @@ fn report<R: Sweeps>(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         0 => println!("\nnothing looks implausible"),
         count => println!("\n{count} to look at:"),
     }
-    warnings.iter().for_each(|one| println!("  - {}; try {}", one.problem, one.advice));
+    let line = |one: &Warning| format!("  - {}; try {}", one.problem, one.advice);
+    warnings.iter().for_each(|one| println!("{}", line(one).trim_end_matches("; try ")));
     Ok(())
 }
 

@@ -72,9 +72,10 @@ impl SimulateArguments {
         // Steps divide the run's time. When a run is extended, its time step must stay the same.
         let before = files::read_config(folder)?.config;
         let (time, earlier) = (&loaded.config.time, &before.time);
+        let step = Setting::option("--resume", "time.step", format!("{:?}", before.time_step()));
         match (time.end, time.steps) == (earlier.end, earlier.steps) || time.step.is_some() {
             true => Ok(loaded),
-            false => loaded.with(&[Setting::option("--resume", "time.step", format!("{:?}", before.time_step()))]),
+            false => Ok(loaded.with(&[step])?),
         }
     }
 }

@@ -3,7 +3,7 @@
 //! A job is an array if the command has shares (see `shard.rs`); another job merges them after all have
 //! succeeded. Every job may be stopped and requeued at any time: its results are kept, and it continues with the rest.
 
-use super::arguments::at_least_one;
+use super::arguments::{at_least_one, check_text};
 use super::files::CHECKPOINT;
 use super::optimize::OptimizeArguments;
 use super::optimize_starts::{StartName, STARTS};
@@ -113,6 +113,7 @@ pub struct Wanted {
 }
 
 pub fn run(arguments: &SlurmArguments) -> anyhow::Result<()> {
+    arguments.out.as_deref().map_or(Ok(()), check_text)?;
     let Some((main, merge)) = jobs(arguments)? else { return Ok(()) };
     let wanted = Wanted {
         time: arguments.time.clone(),

@@ -3,6 +3,7 @@
 use crate::config::formula::{Formula, Function};
 use crate::config::range::Range::NotNegative;
 use crate::config::section::section;
+use crate::config::suggest;
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
 
@@ -293,12 +294,10 @@ impl Kind {
 }
 
 impl ShapeEntry {
-    /// A number or vector of the shape, as an assignment, that makes it at least as thick as `size`; none for shapes that have
-    /// no such number.
-    pub fn at_least(&self, size: f64) -> Option<String> {
-        // Three digits of the size, rounded up, so that it is easy to read.
-        let unit = 10f64.powi(2 - size.log10().floor() as i32);
-        let short = |x: f64| (x * unit - 1e-6).ceil() / unit;
+    /// Assignments that make shape number `place` at least as thick as `size`, without `shapes[place].` in front; none for
+    /// shapes of a formula.
+    pub fn at_least(&self, place: usize, size: f64) -> Option<String> {
+        let short = |x: f64| suggest::at_least(x, size);
         match self.kind {
             Kind::Polyline => Some(format!("thickness={}", short(size))),
             Kind::Disc | Kind::Cylinder => Some(format!("radius={}", short(0.5 * size))),
@@ -307,13 +306,9 @@ impl ShapeEntry {
                 let wider = lower.iter().zip(upper).map(|(a, b)| short(b.max(a + size)).to_string());
                 Some(format!("upper=[{}]", wider.collect::<Vec<String>>().join(",")))
             }
-            Kind::Polygon
-            | Kind::Where
-            | Kind::Ellipse
-            | Kind::Spline
-            | Kind::BSpline
-            | Kind::Naca
-            | Kind::File => None,
+            // Its outline, drawn with a line of that thickness.
+            Kind::Polygon => Some(format!("kind=polyline shapes[{place}].thickness={}", short(size))),
+            Kind::Where | Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca | Kind::File => None,
         }
     }
 

@@ -51,15 +51,15 @@ pub fn is_key(word: &str) -> bool {
     word.starts_with(|c: char| c.is_ascii_lowercase()) && word.chars().all(is_of_key)
 }
 
-/// Advice without those alternatives whose assignments do not work; empty if none is left.
-pub fn possible(advice: &str, works: impl Fn(&[&str]) -> bool) -> String {
+/// Advice whose alternatives with assignments are changed or, if there is nothing in their place, left out.
+pub fn changed(advice: &str, change: impl Fn(&str, &[&str]) -> Option<String>) -> String {
     let all = alternatives(advice);
-    let is_possible = |one: &&&str| {
-        let assignments = assignments(one);
-        assignments.is_empty() || works(&assignments)
+    let after = |one: &&str| match assignments(one) {
+        none if none.is_empty() => Some(one.to_string()),
+        assignments => change(one, &assignments),
     };
-    let left: Vec<&str> = all.iter().filter(is_possible).copied().collect();
-    if left.len() == all.len() {
+    let left: Vec<String> = all.iter().filter_map(after).collect();
+    if left == all {
         advice.to_string()
     } else {
         left.join(", or ")
@@ -79,7 +79,8 @@ pub fn shortest(x: f64, accepts: impl Fn(f64) -> bool) -> f64 {
     (0..16).flat_map(rounded).find(|&short| accepts(short)).unwrap_or(x)
 }
 
-/// The smallest number of three digits that is not below `x`, for limits from below.
-pub fn at_least(x: f64) -> f64 {
-    shortest(x * 1.005, |short| (x..=1.01 * x).contains(&short))
+/// The smallest number that is not below `x`, but for rounding, and has no more decimals than three digits of `scale`.
+pub fn at_least(x: f64, scale: f64) -> f64 {
+    let unit = 10f64.powi(2 - scale.log10().floor() as i32);
+    (x * unit - 1e-6).ceil() / unit
 }

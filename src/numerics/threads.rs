@@ -36,15 +36,15 @@ pub fn in_words(threads: usize) -> String {
     }
 }
 
-/// Sets the number of threads; 0 takes [`cores`], or what the environment variables of the pools say. Must come before
-/// the first operator, because the pools read it once.
+/// Sets the number of threads; 0 takes [`cores`], or what the environment variables of the pools say, others take at most
+/// [`available`]. Must come before the first operator, because the pools read it once.
 pub fn use_threads(threads: usize) {
     for pool in POOLS {
-        // More than twice the cores only wait for each other, and the results do not depend on their number.
+        // Threads without a core spin away the time of the others (1.3 times on one core); results do not depend on them.
         let threads = match (threads, number(pool)) {
             (0, Some(given)) => given,
             (0, None) => cores(),
-            (wanted, _) => wanted.min(2 * available()),
+            (wanted, _) => wanted.min(available()),
         };
         std::env::set_var(pool, threads.to_string());
     }

@@ -54,8 +54,8 @@ pub(super) struct Geometry {
 
 /// Largest number of particles of a finer lattice in which a shape is looked for.
 const MOST_TRIED: usize = 2_000_000;
-/// A larger shape is suggested before a finer lattice with more particles than this.
-const MANY: usize = 50_000;
+/// A larger shape is suggested before a finer lattice with more particles than this, in two and in three dimensions.
+const MANY: [usize; 2] = [50_000, 15_000];
 
 impl Geometry {
     /// The geometry of a checked configuration.
@@ -108,7 +108,7 @@ fn too_small(config: &Config, walls: &Walls, idle: &[usize]) -> Result<(), BadIn
     small.sort_unstable();
     let Some(first) = small.first() else { return Ok(()) };
     let size = config.support() * dx;
-    let sizes = small.iter().map(|&k| Some(format!("shapes[{k}].{}", walls.shapes[k].entry.at_least(size)?)));
+    let sizes = small.iter().map(|&k| Some(format!("shapes[{k}].{}", walls.shapes[k].entry.at_least(k, size)?)));
     let sizes = sizes.collect::<Option<Vec<String>>>().map(|sizes| sizes.join(" "));
     let bears = match config.method {
         Method::Consistent(_) => " with method.name=standard (it bears thin walls)",
@@ -121,7 +121,7 @@ fn too_small(config: &Config, walls: &Walls, idle: &[usize]) -> Result<(), BadIn
     )
     .allowed("shapes that hold the middle of at least one cell")
     .advice(match sizes {
-        Some(sizes) if particles > MANY => format!("{sizes}, or {finer}"),
+        Some(sizes) if particles > MANY[config.dimension() - 2] => format!("{sizes}, or {finer}"),
         Some(sizes) => format!("{finer}, or {sizes}"),
         None => finer,
     }))

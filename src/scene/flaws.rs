@@ -1,5 +1,6 @@
 //! What in the walls of a scene of one's own may make its flow diverge: walls that are too thin, passages that are too
-//! narrow, and walls at rest that move the fluid out of them. It is found at points of the surface, in any direction.
+//! narrow, walls at rest that move the fluid out of them, and formulas that do not go on behind a periodic side. The first
+//! three are found at points of the surface, in any direction.
 
 use super::custom;
 use crate::config::scene::{Config, Method};
@@ -18,44 +19,51 @@ pub(super) fn nearest(config: &Config, place: &[f64]) -> Result<Option<Cause>, B
     let shapes = custom::shapes(config)?;
     let walls = custom::surroundings(config, &shapes);
     let lattice = custom::lattice(config);
-    let near = (0..lattice.particles()).map(|i| lattice.place(i)).filter(|p| walls.distance(*p).abs() <= dx);
     let mut found: Option<(f64, String)> = None;
-    for foot in walls.points(near) {
-        let [x, y, z] = foot.place;
-        let at = if place.len() == 3 { format!("({x:.3}, {y:.3}, {z:.3})") } else { format!("({x:.3}, {y:.3})") };
+    let mut note = |at: [f64; 3], problem: &str| {
+        let apart = walls.apart(at, std::array::from_fn(|d| place.get(d).copied().unwrap_or(0.0)));
+        if found.as_ref().is_none_or(|(nearest, _)| apart < *nearest) {
+            let at: Vec<String> = at[..config.dimension()].iter().map(|x| format!("{x:.3}")).collect();
+            found = Some((apart, format!("at ({}) {problem}", at.join(", "))));
+        }
+    };
+    let places = || (0..lattice.particles()).map(|i| lattice.place(i));
+    for foot in walls.points(places().filter(|p| walls.distance(*p).abs() <= dx)) {
         let (velocity, shape) = custom::wall_at(&walls, &foot)?;
         let out: f64 = velocity.iter().zip(foot.normal).map(|(u, n)| u * n).sum();
-        let thick = walls.way(&foot, -1.0, support * dx);
-        let wide = walls.way(&foot, 1.0, 2.0 * support * dx);
+        let (thick, twice) = (walls.way(&foot, -1.0, support * dx), 2.0 * support);
+        let wide = walls.way(&foot, 1.0, twice * dx).map(|wide| wide / dx);
         let problem = if let (Some(k), true) = (shape, out.abs() > BLOWS * config.fluid.reference_velocity) {
             format!(
-                "at {at} shapes[{k}].velocity leads {} the wall with {:.3}, and walls stay where they are: it blows or sucks",
+                "shapes[{k}].velocity leads {} the wall with {:.3}, and walls stay where they are: it blows or sucks",
                 if out > 0.0 { "out of" } else { "into" },
                 out.abs()
             )
         } else if let Some(thick) = thick {
             format!(
-                "at {at} the wall is {:.1} spacings thick, and the kernel reaches {support:.1}: fluid on one side sees the fluid on \
-                 the other",
+                "the wall is {:.1} spacings thick, and the kernel reaches {support:.1}: fluid on one side sees the fluid on the other",
                 thick / dx
             )
         } else if let Some(wide) = wide {
-            format!(
-                "at {at} the passage is {:.1} spacings wide: below {:.1} a particle's sums reach both walls",
-                wide / dx,
-                2.0 * support
-            )
+            format!("the passage is {wide:.1} spacings wide: below {twice:.1} a particle's sums reach both walls")
         } else {
             continue;
         };
-        let apart = walls.apart(foot.place, std::array::from_fn(|d| place.get(d).copied().unwrap_or(0.0)));
-        if found.as_ref().is_none_or(|(nearest, _)| apart < *nearest) {
-            found = Some((apart, problem));
+        note(foot.place, &problem);
+    }
+    // Other shapes have periodic images, so that only formulas can end there.
+    for d in (0..config.dimension()).filter(|&d| config.region.periodic[d]) {
+        for p in places().filter(|p| p[d] < dx) {
+            let beside = |x: f64| walls.distance(std::array::from_fn(|e| if e == d { x } else { p[e] }));
+            let (first, last) = (beside(0.25 * dx), beside(config.region.size[d] - 0.25 * dx));
+            if (first < 0.0) != (last < 0.0) && (first - last).abs() > dx {
+                note(p, "the wall of a formula ends at the periodic side: its other side does not go on with it");
+            }
         }
     }
     let advice = match config.method {
         Method::Consistent(_) => {
-            "method.name=standard (it bears such walls, as steps of the lattice and less exactly), or a smaller resolution.dx"
+            "method.name=standard (it bears such walls as steps of the lattice and less exactly), or a smaller resolution.dx"
         }
         _ => "time.cfl=0.25, or a smaller resolution.dx",
     };

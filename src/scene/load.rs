@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use toml_edit::{Array, Value};
 
 use super::build_design;
+use super::plausible::Findings;
 use crate::config::before;
 use crate::config::builtin;
 use crate::config::builtin::{BuiltIn, SCENES};
@@ -17,7 +18,7 @@ use crate::config::range::WHOLE;
 use crate::config::scene::{Config, DesignWalls, DynamicsName, Family, GradientMode, Search, Start, Trust};
 use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
-use crate::config::suggest::{assignments, possible};
+use crate::config::suggest::{alternatives, assignments, changed};
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
 use crate::design::{start_shape, Scheduled};
@@ -81,22 +82,15 @@ impl Config {
 
     /// [`Config::load`] for settings that carry the names of command-line options for error messages.
     ///
-    /// The alternatives in the advice of an error are tried, and those that lead to the same error are left out.
+    /// The alternatives in the advice of an error are tried: those that lead to the same error are left out, see `completed`.
     pub fn load_settings(
         scene_or_file: Option<&str>,
         preset: Option<&str>,
         settings: &[Setting],
     ) -> Result<Loaded, Error> {
         Self::load_once(scene_or_file, preset, settings).map_err(|bad| {
-            let works = |assignments: &[&str]| {
-                let more = [settings, &assignments.iter().copied().map(Setting::set).collect::<Vec<_>>()].concat();
-                let is_about =
-                    |other: &BadInput, one: &&str| one.split('=').next().is_some_and(|key| other.is_about(key));
-                Self::load_once(scene_or_file, preset, &more)
-                    .err()
-                    .is_none_or(|other| !other.is_like(&bad) && !assignments.iter().any(|one| is_about(&other, one)))
-            };
-            bad.clone().readvised(|advice| possible(advice, works)).into()
+            let load = |more: &[Setting]| Self::load_once(scene_or_file, preset, &[settings, more].concat());
+            bad.clone().readvised(|advice| changed(advice, |one, sets| completed(one, sets, &bad, &load))).into()
         })
     }
 
@@ -161,14 +155,15 @@ impl Loaded {
     /// Advice without what this scene refuses, what is in force already, and what does not make steps shorter where it
     /// should; empty if nothing is left.
     pub fn possible(&self, advice: &str) -> String {
-        possible(advice, |assignments| {
+        changed(advice, |one, assignments| {
             let settings: Vec<Setting> = assignments.iter().copied().map(Setting::set).collect();
             let is_of_step =
                 |one: &&str| ["time.cfl=", "time.diffusion_number="].iter().any(|key| one.starts_with(key));
             let (shorter, now) = (assignments.iter().any(is_of_step), &self.config);
-            self.with(&settings).is_ok_and(|other| {
+            let helps = self.with(&settings).is_ok_and(|other| {
                 other.config != *now && (!shorter || other.config.time_step() < now.time_step() * (1.0 - WHOLE))
-            })
+            });
+            helps.then(|| one.to_string())
         })
     }
 
@@ -179,7 +174,8 @@ impl Loaded {
             Error::Input(bad) => bad.readvised(|advice| self.possible(advice)).into(),
             Error::Run { problem, advice } => Error::Run { problem, advice: self.possible(&advice) },
             Error::Diverged { problem, advice, offence } => {
-                let mut advice = self.possible(&advice);
+                let (bad, load) = (BadInput::new(problem.as_str()), |settings: &[Setting]| self.with(settings));
+                let mut advice = changed(&self.possible(&advice), |one, sets| completed(one, sets, &bad, &load));
                 if assignments(&advice).is_empty() {
                     let half = format!("time.step={:.2e}", 0.5 * self.config.time_step());
                     advice = if advice.is_empty() { half } else { format!("{half}, or {advice}") };
@@ -192,7 +188,7 @@ impl Loaded {
 
     /// The same configuration with further settings, such as those of each start of `--start all`. Defaults are derived
     /// anew. If the settings choose another method, keys that it lacks are dropped.
-    pub fn with(&self, settings: &[Setting]) -> Result<Self, Error> {
+    pub fn with(&self, settings: &[Setting]) -> Result<Self, BadInput> {
         let mut merged = self.given.clone();
         for setting in settings {
             let layer = merged.layer::<Config>(setting)?;
@@ -200,7 +196,7 @@ impl Loaded {
             merged.apply::<Config>(&layer);
         }
         merged.free_method();
-        Ok(finish(merged, self.source.clone())?)
+        finish(merged, self.source.clone())
     }
 
     /// The given values as TOML, without defaults, which later settings may change.
@@ -249,7 +245,7 @@ impl Loaded {
                 let steps = (objective.window / step).round().max(1.0) as usize;
                 settings.push(Setting::set(&format!("objective.window={}", objective.window)));
                 settings.push(Setting::set(&format!("objective.samples={}", objective.samples.min(steps))));
-                self.with(&settings)
+                Ok(self.with(&settings)?)
             }
             _ => Ok(self.clone()),
         }
@@ -262,6 +258,41 @@ impl Loaded {
         let schedule = problem.schedule(&self.config.optimise, self.config.run.precision).map_err(located)?;
         Ok(Scheduled { problem, schedule })
     }
+}
+
+type Load<'a> = dyn Fn(&[Setting]) -> Result<Loaded, BadInput> + 'a;
+
+/// A suggestion against the error `bad` with all that the scene needs besides, as far as can be told before it runs; none
+/// if it does not help.
+fn completed(one: &str, first: &[&str], bad: &BadInput, load: &Load<'_>) -> Option<String> {
+    let key = |set: &str| set.split_once('=').map(|(key, _)| key.to_string());
+    let (mut all, mut good): (Vec<String>, _) = (first.iter().map(|set| set.to_string()).collect(), None);
+    // More than five things at once are no suggestion any more.
+    for round in 0..5 {
+        let next = match load(&all.iter().map(|set| Setting::set(set)).collect::<Vec<_>>()) {
+            Ok(loaded) => {
+                good = Some(all.clone());
+                Findings::expected_flaw(&loaded.config).ok()?.map_or(String::new(), |flaw| flaw.advice)
+            }
+            Err(other) if other.key == bad.key || all.iter().any(|set| key(set) == other.key) => {
+                return (round > 0).then(|| one.to_string())
+            }
+            Err(other) => other.advice.unwrap_or_default(),
+        };
+        for set in alternatives(&next).into_iter().map(assignments).find(|sets| !sets.is_empty()).unwrap_or_default() {
+            match all.iter_mut().find(|old| key(old) == key(set)) {
+                Some(old) => *old = set.to_string(),
+                None => all.push(set.to_string()),
+            }
+        }
+        if good.as_ref() == Some(&all) {
+            break;
+        }
+    }
+    let Some(good) = good else { return Some(one.to_string()) };
+    let same = first.iter().zip(&good).fold(one.to_string(), |text, (old, new)| text.replace(old, new));
+    let more = good[first.len()..].join(" ");
+    Some(if more.is_empty() { same } else { format!("{same} and {more} (else it may fail next)") })
 }
 
 /// Number of keys of the shortest complete configuration of the heated channel.

@@ -90,15 +90,27 @@ impl Findings {
         if !found.is_open || config.scene != Family::Custom {
             return Ok(None);
         }
-        let warned = |code: &str| {
-            let warning = self.warnings.iter().find(|warning| warning.code.starts_with(code))?;
-            Some(Cause { why: warning.problem.clone(), advice: warning.advice.clone(), is_open: false })
-        };
-        // The standard method bears flaws of walls, but no flow that is faster than expected.
-        if let (Method::Standard(_), Some(cause)) = (&config.method, warned("expected-speed")) {
-            return Ok(Some(cause));
-        }
-        Ok(flaws::nearest(config, place)?.or_else(|| warned("expected-speed")).or_else(|| warned("cell-")))
+        let known = self.flaw(config, place)?.map_or_else(|| flaws::nearest(config, place), |flaw| Ok(Some(flaw)))?;
+        Ok(known.or_else(|| self.warned("cell-")))
+    }
+
+    /// What is likely to make a configuration's flow diverge, as far as can be told before it runs.
+    pub(super) fn expected_flaw(config: &Config) -> Result<Option<Cause>, BadInput> {
+        let is_own = config.scene == Family::Custom;
+        is_own
+            .then(|| Self::of(config, &super::custom::build::<f64>(config)?)?.flaw(config, &[]))
+            .map_or(Ok(None), |it| it)
+    }
+
+    /// The flaw of the walls nearest to a place, or a flow that is too fast. The standard method bears flaws of walls.
+    fn flaw(&self, config: &Config, place: &[f64]) -> Result<Option<Cause>, BadInput> {
+        let bears = matches!(config.method, Method::Standard(_));
+        Ok(if bears { None } else { flaws::nearest(config, place)? }.or_else(|| self.warned("expected-speed")))
+    }
+
+    fn warned(&self, code: &str) -> Option<Cause> {
+        let warning = self.warnings.iter().find(|warning| warning.code.starts_with(code))?;
+        Some(Cause { why: warning.problem.clone(), advice: warning.advice.clone(), is_open: false })
     }
 
     fn implausible(&self, config: &Config) -> Vec<Warning> {
@@ -119,7 +131,7 @@ impl Findings {
                     u / c,
                     100.0 * (u / c).powi(2),
                 ),
-                format!("fluid.reference_velocity={} (smaller steps), or a smaller force", suggest::at_least(u)),
+                format!("fluid.reference_velocity={} (smaller steps), or a smaller force", suggest::at_least(u, u)),
             );
         }
         if own && u > 0.0 && reference > TOO_CAREFUL * u {

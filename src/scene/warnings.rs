@@ -58,7 +58,7 @@ impl Warning {
 fn speed(config: &Config, fastest: f64) -> Option<Warning> {
     let (reference, sound) = (config.fluid.reference_velocity, config.sound_speed());
     let mach = fastest / sound;
-    let advice = format!("fluid.reference_velocity={} (the sound speed follows)", suggest::at_least(fastest));
+    let advice = format!("fluid.reference_velocity={} (the sound speed follows)", suggest::at_least(fastest, fastest));
     if mach > MACH {
         let problem = format!("the flow reaches Mach {mach:.2} ({fastest:.4} of a sound speed of {sound:.4}): it is not weakly compressible");
         return Some(Warning::new("mach-number", [mach, MACH], problem, advice));

@@ -4,6 +4,7 @@ use super::designs::{is_steady, verification, wall_chart, wall_line};
 use super::folder::{figure, percent, Folder};
 use super::names::{label, sized};
 use super::tables;
+use crate::cli::arguments::check_text;
 use crate::cli::files::read_config;
 use crate::cli::guard::warn;
 use crate::cli::machine;
@@ -41,9 +42,9 @@ pub struct CompareArguments {
 const MOST: usize = 12;
 
 pub fn run(arguments: CompareArguments) -> anyhow::Result<()> {
-    let mut runs = arguments.runs()?;
     let out = &arguments.out;
     check_out(out)?;
+    let mut runs = arguments.runs()?;
     let base = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(base).map_err(|source| crate::io::FileError::write(base, source))?;
     let mut page = beside(&mut runs, base, None)?;
@@ -169,6 +170,7 @@ const MAIN: [&str; 7] = [
 
 /// Returns an error if a file exists that is not a page of ours.
 fn check_out(out: &Path) -> Result<(), BadInput> {
+    check_text(out)?;
     let bad = |problem: &str| {
         BadInput::new(problem)
             .place(format!("--out {}", out.display()))

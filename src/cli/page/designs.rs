@@ -274,7 +274,10 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         page.tables.extend(tables::of_objects("Where the run diverged, and went on", recovered));
     }
     page.tables.push(tables::of_scalars("Figures", &summary.0));
-    page.texts.push(plan(config, false)?);
+    page.tables.extend(summary.rows("shapes").and_then(|all| tables::of_objects("Shapes, in the order of the file", all)));
+    if !config.is_around_shapes() {
+        page.texts.push(plan(config, false)?);
+    }
     Ok(page)
 }
 
@@ -311,6 +314,16 @@ fn said(config: &Config, scene: &str, summary: &Record) -> (String, String) {
             format!("The heat balance is open by {:+.2}\u{a0}% of what the walls give.", 100.0 * share)
         });
         return (lead, remark);
+    }
+    if config.is_around_shapes() {
+        let figure = |key: &str, name: &str| number(key).map(|x| format!("{name} {}", short(x)));
+        let all = [figure("flow_rate", "flow rate"), figure("heat_outflow", "heat outflow"), figure("objective", "objective")];
+        let all: Vec<String> = all.into_iter().flatten().collect();
+        let particles = number("particles").unwrap_or_default();
+        return (
+            format!("The steady flow around the shapes: {}.", all.join(", ")),
+            format!("By Newton's method, with {particles} fixed particles. In the scene's own units."),
+        );
     }
     let time = short(number("time").unwrap_or_default());
     let name = if scene.is_empty() { config.scene.name() } else { scene };

@@ -150,7 +150,7 @@ impl Config {
         .allowed(format!("flows up to {FASTEST} of the sound speed, reference_velocity * sound_speed_factor"))
         .advice(format!(
             "fluid.reference_velocity={} (smaller steps), or a smaller fluid.body_force",
-            suggest::at_least(fastest)
+            suggest::at_least(fastest, fastest)
         )))
     }
 

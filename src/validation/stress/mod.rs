@@ -133,7 +133,7 @@ impl Job {
     pub fn load(&self) -> Result<Loaded, crate::error::Error> {
         // What the user sets for one method concerns its panels only.
         let settings: Vec<Setting> = self.settings.iter().map(|text| Setting::set(text)).collect();
-        Config::load(Some(self.scene), None, &[])?.with(&settings)
+        Ok(Config::load(Some(self.scene), None, &[])?.with(&settings)?)
     }
 
     /// Runs it. Not an error: a run that diverges.
