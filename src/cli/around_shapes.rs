@@ -92,7 +92,8 @@ pub fn print_figures(config: &Config, figures: &[(&'static str, Value)]) {
         if shape["force"].is_null() {
             continue;
         }
-        let mut row = vec![format!("shapes[{k}]"), of(&shape["force"][0]), of(&shape["force"][1]), of(&shape["torque"])];
+        let mut row =
+            vec![format!("shapes[{k}]"), of(&shape["force"][0]), of(&shape["force"][1]), of(&shape["torque"])];
         if has_heat {
             row.extend([of(&shape["heat"]), of(&shape["heat_by_surface"])]);
         }
@@ -142,7 +143,11 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
         if heat { ", temperature.png" } else { "" }
     );
     if !config.variables.is_empty() {
-        println!("next: hydrograd optimize {}    changes its variables so that the objective becomes {}", source(loaded), goal(config));
+        println!(
+            "next: hydrograd optimize {}    changes its variables so that the objective becomes {}",
+            source(loaded),
+            goal(config)
+        );
     }
     warn(&record.warnings());
     page::write(folder)?;
@@ -264,7 +269,9 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     println!("files in {}: gradient_check.json, report.html", folder.display());
     if !passed {
         return Err(Error::run(
-            format!("the gradient check FAILED: difference {worst:.1e} of the gradient's length, allowed {TOLERANCE:.0e}"),
+            format!(
+                "the gradient check FAILED: difference {worst:.1e} of the gradient's length, allowed {TOLERANCE:.0e}"
+            ),
             around.finer_advice(),
         )
         .into());

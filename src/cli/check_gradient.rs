@@ -1,7 +1,7 @@
 //! `hydrograd check-gradient`: checks the design gradient against differences.
 
-use super::around_shapes;
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
+use super::around_shapes;
 use super::files::{self, write_json};
 use super::page;
 use super::prepare::{build, open_device, use_threads};

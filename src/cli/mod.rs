@@ -1,7 +1,8 @@
 //! The command line: one file per subcommand.
 
-pub mod around_shapes;
 mod arguments;
+mod around_optimize;
+pub mod around_shapes;
 pub mod bench;
 mod calibrate;
 mod check_gradient;

@@ -10,7 +10,7 @@ use super::optimize_starts::{check_begun, every_start, share_of_starts, StartNam
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_finished, Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
-use super::{files, optimize_compare, page, verify};
+use super::{around_optimize, around_shapes, files, optimize_compare, page, verify};
 use crate::config::layers::Setting;
 use crate::config::scene::{DynamicsName, Family, Trust};
 use crate::error::{BadInput, Error};
@@ -213,6 +213,11 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         page::write(&folder)?;
         own.finish()?;
         return parts.iter().try_for_each(RunFolder::finish);
+    }
+    let searched = loaded.for_search()?;
+    if searched.config.is_around_shapes() {
+        around_shapes::no_resume(resume)?;
+        return around_optimize::run(&searched, &folder, earlier, !arguments.no_verify);
     }
     let begin = Begin { folder: &folder, resume, earlier, name: "", tasks: &Tasks::default() };
     let (own, outcome) = one(&loaded, begin)?;

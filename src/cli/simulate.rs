@@ -1,7 +1,7 @@
 //! `hydrograd simulate`: runs a scene, with figures, plots and frames.
 
-use super::around_shapes;
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
+use super::around_shapes;
 use super::explain::explain;
 use super::files::{self, CHECKPOINT};
 use super::guard;

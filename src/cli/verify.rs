@@ -200,7 +200,9 @@ fn text_of(verified: &Verified) -> String {
     let mut table = Table::new(["check", &format!("{symbol} reference"), &format!("{symbol} best"), "gain"]);
     for finding in &verified.checks {
         let [reference, best, gain] = match finding.figures {
-            Ok((reference, best)) => [format!("{reference:.6}"), format!("{best:.6}"), percent(best / reference - 1.0)],
+            Ok((reference, best)) => {
+                [format!("{reference:.6}"), format!("{best:.6}"), finding.gain().map_or("-".to_string(), percent)]
+            }
             Err(_) => ["-", "-", "-"].map(String::from),
         };
         table.row([finding.check.clone(), reference, best, gain]);

@@ -319,7 +319,9 @@ impl ShapeEntry {
         let kind = self.kind;
         let (shown, keys) = kind.facts();
         let given = toml::Table::try_from(self).unwrap_or_default();
-        let all = ["lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file", "points"];
+        let all = [
+            "lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file", "points",
+        ];
         for name in all.into_iter().chain(["thickness", "positive"]) {
             // An angle is 0 if it is not given.
             let wanted = keys.contains(&name);

@@ -172,6 +172,15 @@ impl Layer {
         self
     }
 
+    /// Changes the value of a key, if this layer has it.
+    pub fn change_value(
+        &mut self,
+        path: &str,
+        change: impl FnOnce(&mut Value) -> Result<(), BadInput>,
+    ) -> Result<(), BadInput> {
+        self.entries.iter_mut().find(|entry| entry.path == path).map_or(Ok(()), |entry| change(&mut entry.value))
+    }
+
     /// The text of a key in this layer.
     pub fn string(&self, path: &str) -> Option<&str> {
         self.entries.iter().find(|entry| entry.path == path).and_then(|entry| entry.value.as_str())

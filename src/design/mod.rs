@@ -5,6 +5,7 @@
 //!       ^                                                                                             |
 //!   optimiser <------- pull back <---------- pull back <-------------------- gradient ----------------+
 //! ```
+pub mod around_shapes;
 pub mod checkpoint;
 pub mod cma_es;
 pub mod deformation;
@@ -20,6 +21,7 @@ pub mod relief;
 pub mod search;
 pub mod shape;
 pub mod shapes;
+pub mod sqp;
 pub mod start_shape;
 
 pub use deformation::Deformation;

@@ -21,7 +21,8 @@ pub fn gmres(
     let mut basis: Vec<Vec<f64>> = vec![b.iter().map(|x| x / size).collect()];
     let mut directions: Vec<Vec<f64>> = vec![];
     // Columns of the triangle, the rotations that made them, and the right-hand side under these.
-    let (mut columns, mut rotations, mut right): (Vec<Vec<f64>>, Vec<[f64; 2]>, Vec<f64>) = (vec![], vec![], vec![size]);
+    let (mut columns, mut rotations, mut right): (Vec<Vec<f64>>, Vec<[f64; 2]>, Vec<f64>) =
+        (vec![], vec![], vec![size]);
     for k in 0..most {
         let direction = precondition(&basis[k]);
         let mut next = times(&direction);

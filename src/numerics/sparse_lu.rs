@@ -148,13 +148,18 @@ impl Order {
         let (mut own, mut children) = (nodes.clone(), vec![]);
         if nodes.len() > LEAF {
             let side = |d: usize| {
-                let range = nodes.iter().map(|&i| place(i as usize)[d]).fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+                let range = nodes
+                    .iter()
+                    .map(|&i| place(i as usize)[d])
+                    .fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
                 range.1 - range.0
             };
             let d = if side(0) >= side(1) { 0 } else { 1 };
             let along = |i: &u32| (place(*i as usize)[d], place(*i as usize)[1 - d]);
             let middle = nodes.len() / 2;
-            nodes.select_nth_unstable_by(middle, |a, b| along(a).partial_cmp(&along(b)).expect("finite places").then(a.cmp(b)));
+            nodes.select_nth_unstable_by(middle, |a, b| {
+                along(a).partial_cmp(&along(b)).expect("finite places").then(a.cmp(b))
+            });
             let (low, high) = nodes.split_at_mut(middle);
             // Of each half the nodes that touch the other; the smaller set separates.
             let (left, right) = (*mark + 1, *mark + 2);
@@ -162,7 +167,10 @@ impl Order {
             low.iter().for_each(|&i| part[i as usize] = left);
             high.iter().for_each(|&i| part[i as usize] = right);
             let touch = |half: &[u32], other: u32| -> Vec<u32> {
-                half.iter().copied().filter(|&i| matrix.row(i as usize).iter().any(|&j| part[j as usize] == other)).collect()
+                half.iter()
+                    .copied()
+                    .filter(|&i| matrix.row(i as usize).iter().any(|&j| part[j as usize] == other))
+                    .collect()
             };
             let (of_low, of_high) = (touch(low, right), touch(high, left));
             own = if of_low.len() <= of_high.len() { of_low } else { of_high };
@@ -206,10 +214,17 @@ impl Order {
                 let mut by_node: Vec<(u32, u32)> = places.iter().enumerate().map(|(k, &p)| (p, k as u32)).collect();
                 by_node.sort_unstable();
                 let find = |j: &u32| {
-                    by_node.binary_search_by_key(j, |&(p, _)| p).map(|k| by_node[k].1).ok().or_else(|| at(j).map(|k| k as u32))
+                    by_node
+                        .binary_search_by_key(j, |&(p, _)| p)
+                        .map(|k| by_node[k].1)
+                        .ok()
+                        .or_else(|| at(j).map(|k| k as u32))
                 };
-                self.fronts[child].in_parent =
-                    self.fronts[child].later.iter().map(|j| find(j).expect("a parent has what its child touches")).collect();
+                self.fronts[child].in_parent = self.fronts[child]
+                    .later
+                    .iter()
+                    .map(|j| find(j).expect("a parent has what its child touches"))
+                    .collect();
             }
             self.fronts[k].later = later;
         }
@@ -270,7 +285,27 @@ fn subtract_product(
     let parallel = if threads > 1 && m * n * k > 1 << 21 { Parallelism::Rayon(threads) } else { Parallelism::None };
     // SAFETY: the callers' matrices have these sizes and c overlaps neither a nor b.
     unsafe {
-        gemm(m, n, k, c.0, c.1 as isize, 1, true, a.0, a.1 as isize, 1, b.0, b.1 as isize, 1, 1.0, -1.0, false, false, false, parallel);
+        gemm(
+            m,
+            n,
+            k,
+            c.0,
+            c.1 as isize,
+            1,
+            true,
+            a.0,
+            a.1 as isize,
+            1,
+            b.0,
+            b.1 as isize,
+            1,
+            1.0,
+            -1.0,
+            false,
+            false,
+            false,
+            parallel,
+        );
     }
 }
 
@@ -329,7 +364,14 @@ fn solve_upper_right(u: *const f64, ldu: usize, p: usize, b: *mut f64, ldb: usiz
 }
 
 /// P A = L U of the p x p matrix in the first columns of `a`, with rows exchanged over its columns only, by halves.
-fn factorise(a: *mut f64, lda: usize, rows: usize, p: usize, pivots: &mut [u32], threads: usize) -> Result<(), Singular> {
+fn factorise(
+    a: *mut f64,
+    lda: usize,
+    rows: usize,
+    p: usize,
+    pivots: &mut [u32],
+    threads: usize,
+) -> Result<(), Singular> {
     if p > PANEL {
         let half = p / 2;
         let (low, high) = pivots.split_at_mut(half);
@@ -339,7 +381,13 @@ fn factorise(a: *mut f64, lda: usize, rows: usize, p: usize, pivots: &mut [u32],
             let right = a.add(half * lda);
             exchange(right, lda, p - half, low);
             solve_lower(a, lda, half, right, lda, p - half, threads);
-            subtract_product([rows - half, p - half, half], (a.add(half), lda), (right, lda), (right.add(half), lda), threads);
+            subtract_product(
+                [rows - half, p - half, half],
+                (a.add(half), lda),
+                (right, lda),
+                (right.add(half), lda),
+                threads,
+            );
             factorise(right.add(half), lda, rows - half, p - half, high, threads)?;
             exchange(a.add(half), lda, half, high);
         }
@@ -424,7 +472,10 @@ impl SparseLu {
             part.extend(nodes.iter().flat_map(|&i| &x[i as usize * s..(i as usize + 1) * s]));
         };
         let scatter = |x: &mut [f64], nodes: &[u32], part: &[f64]| {
-            nodes.iter().zip(part.chunks_exact(s)).for_each(|(&i, part)| x[i as usize * s..(i as usize + 1) * s].copy_from_slice(part));
+            nodes
+                .iter()
+                .zip(part.chunks_exact(s))
+                .for_each(|(&i, part)| x[i as usize * s..(i as usize + 1) * s].copy_from_slice(part));
         };
         for (front, factor) in self.order.fronts.iter().zip(&self.factors) {
             let (p, q) = (front.own.len() * s, front.later.len() * s);

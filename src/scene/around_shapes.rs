@@ -115,8 +115,15 @@ impl Surroundings for Conditions {
             return None;
         }
         let behind: [f64; 2] = std::array::from_fn(|d| place[d] - 0.25 * self.dx * point.normal[d]);
-        let steps = |d: usize| if self.plane.periodic[d] { vec![0.0, -self.plane.size[d], self.plane.size[d]] } else { vec![0.0] };
-        let images: Vec<[f64; 2]> = steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect();
+        let steps = |d: usize| {
+            if self.plane.periodic[d] {
+                vec![0.0, -self.plane.size[d], self.plane.size[d]]
+            } else {
+                vec![0.0]
+            }
+        };
+        let images: Vec<[f64; 2]> =
+            steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect();
         let covers = |polygon: &Vec<[f64; 2]>| {
             images.iter().any(|image| is_inside([behind[0] + image[0], behind[1] + image[1]], polygon))
         };
@@ -147,14 +154,16 @@ impl AroundShapes {
     pub fn new(config: &Config) -> Result<Self, Error> {
         let (region, fluid, dx) = (&config.region, &config.fluid, config.resolution.dx);
         let surface = config.resolution.surface.unwrap_or(dx / 3.0).min(dx);
-        let plane = Plane { size: [region.size[0], region.size[1]], periodic: [region.periodic[0], region.periodic[1]] };
+        let plane =
+            Plane { size: [region.size[0], region.size[1]], periodic: [region.periodic[0], region.periodic[1]] };
         let outlines = outlines(&config.shapes, surface);
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry));
         let side = |(name, side): (&'static str, Option<&Side>)| {
             let Some(side) = side else { return Ok(None) };
             let Side { kind, velocity, temperature, heat_flux } = side;
             let key = format!("region.sides.{name}");
-            OnWall::new(&key, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref()).map(|wall| Some((*kind, wall)))
+            OnWall::new(&key, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
+                .map(|wall| Some((*kind, wall)))
         };
         let [left, right, bottom, top] = region.sides.all().map(side);
         let polygon = |outline: &Outline| {
@@ -178,19 +187,24 @@ impl AroundShapes {
         let held = match fluid.drive {
             DriveName::BodyForce => None,
             DriveName::FlowRate => fluid.flow_rate.map(Held::FlowRate),
-            DriveName::PumpingPower => fluid
-                .pumping_power
-                .map(|power| Held::Power { power: power / fluid.density, length: region.size[0] }),
+            DriveName::PumpingPower => {
+                fluid.pumping_power.map(|power| Held::Power { power: power / fluid.density, length: region.size[0] })
+            }
         };
         let ground = Ground { plane, dx, surface, outlines };
         let threads = threads::count();
-        let cloud = Cloud::new(ground, materials, Arc::new(conditions), threads).map_err(|why| unusable(config, &why))?;
+        let cloud =
+            Cloud::new(ground, materials, Arc::new(conditions), threads).map_err(|why| unusable(config, &why))?;
         let numbers = config.shape_numbers();
-        let wanted = numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();
+        let wanted =
+            numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();
         for (k, &(shape, _)) in wanted.iter().enumerate() {
             if !cloud.places.bodies.contains(&shape) {
                 let key = format!("variables[{k}].number");
-                let problem = format!("{key} = \"{}\": the shape touches another wall, or reaches out of the box", config.variables[k].number);
+                let problem = format!(
+                    "{key} = \"{}\": the shape touches another wall, or reaches out of the box",
+                    config.variables[k].number
+                );
                 return Err(BadInput::at(&key, problem)
                     .allowed("numbers of shapes that stand in the fluid, with method.name = fixed")
                     .advice("method.name=consistent")
@@ -248,6 +262,7 @@ impl AroundShapes {
     /// The figures whose sum a kind of objective is.
     fn figures(&self, kind: ObjectiveKind, shapes: &[usize]) -> Vec<Figure> {
         let all: Vec<usize> = match shapes {
+            [] if !self.flow.cloud.places.bodies.is_empty() => self.flow.cloud.places.bodies.clone(),
             [] => self.flow.cloud.places.touching.clone(),
             given => given.to_vec(),
         };
@@ -274,8 +289,10 @@ impl AroundShapes {
             self.figures(kind, shapes).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
         };
         if kind == ObjectiveKind::LiftOverDrag {
-            let (lift, drag) = (self.sum(solution, ObjectiveKind::Lift, shapes), self.sum(solution, ObjectiveKind::Drag, shapes));
-            let terms = [part(ObjectiveKind::Lift, 1.0 / drag), part(ObjectiveKind::Drag, -lift / (drag * drag))].concat();
+            let (lift, drag) =
+                (self.sum(solution, ObjectiveKind::Lift, shapes), self.sum(solution, ObjectiveKind::Drag, shapes));
+            let terms =
+                [part(ObjectiveKind::Lift, 1.0 / drag), part(ObjectiveKind::Drag, -lift / (drag * drag))].concat();
             return (lift / drag, terms);
         }
         (self.sum(solution, kind, shapes), part(kind, 1.0))
@@ -312,7 +329,10 @@ impl AroundShapes {
         let wanted = self.wanted.clone();
         let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
         match found.iter().position(|g| !g.is_finite()) {
-            Some(k) => Err(Error::diverged(format!("the gradient by variable {k} is {}", found[k]), "resolution.dx smaller by a third")),
+            Some(k) => Err(Error::diverged(
+                format!("the gradient by variable {k} is {}", found[k]),
+                "resolution.dx smaller by a third",
+            )),
             None => Ok(found),
         }
     }
@@ -321,7 +341,8 @@ impl AroundShapes {
     pub fn of_shapes(&self, kind: ObjectiveKind, shapes: &[usize], variables: &[f64]) -> Option<Judged> {
         let numbers = self.numbers(variables);
         let outlines = &self.flow.cloud.ground.outlines;
-        let chosen: Vec<usize> = if shapes.is_empty() { self.flow.cloud.places.bodies.clone() } else { shapes.to_vec() };
+        let chosen: Vec<usize> =
+            if shapes.is_empty() { self.flow.cloud.places.bodies.clone() } else { shapes.to_vec() };
         let mut by_variables = vec![0.0; self.wanted.len()];
         let fine: Vec<Vec<f64>> = outlines.iter().map(|outline| outline.samples(24)).collect();
         let points: Vec<_> = (0..outlines.len()).map(|k| outlines[k].points(&fine[k], &numbers[k])).collect();
@@ -345,7 +366,8 @@ impl AroundShapes {
             ObjectiveKind::Distance => {
                 let (plane, corners) = (self.flow.cloud.ground.plane, self.flow.cloud.places.corners);
                 // The nearest pair: (distance, direction from a to b, a, b or none for a side).
-                let mut nearest: (f64, [f64; 2], (usize, usize), Option<(usize, usize)>) = (f64::INFINITY, [0.0; 2], (0, 0), None);
+                let mut nearest: (f64, [f64; 2], (usize, usize), Option<(usize, usize)>) =
+                    (f64::INFINITY, [0.0; 2], (0, 0), None);
                 for &a in &chosen {
                     for (i, p) in points[a].iter().enumerate() {
                         for d in (0..2).filter(|&d| !plane.periodic[d]) {
@@ -399,7 +421,8 @@ impl AroundShapes {
         let shapes = (0..self.config.shapes.len()).map(|shape| {
             let mut record = serde_json::Map::new();
             let force: Vec<f64> = (0..2).map(|along| value(Figure::Force { shape, along })).collect();
-            let of_surface: Vec<f64> = (0..2).map(|along| fluid.density * measures.surface_force(&at, shape, along)).collect();
+            let of_surface: Vec<f64> =
+                (0..2).map(|along| fluid.density * measures.surface_force(&at, shape, along)).collect();
             record.insert("force".into(), json!(force));
             record.insert("force_by_surface".into(), json!(of_surface));
             record.insert("torque".into(), json!(value(Figure::Torque { shape })));
@@ -499,10 +522,11 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
             format!("shapes[{shape}] is {width:.2e} from another wall, too near for particles in between"),
         )
         .allowed("walls that overlap, or that are at least about a spacing apart"),
-        Unusable::Placing(Unplaceable::Thin { shape, width }) => {
-            BadInput::at(format!("shapes[{shape}]"), format!("shapes[{shape}] is about {width:.2e} thick, which is too thin"))
-                .allowed("shapes that are thicker than a third of resolution.dx")
-        }
+        Unusable::Placing(Unplaceable::Thin { shape, width }) => BadInput::at(
+            format!("shapes[{shape}]"),
+            format!("shapes[{shape}] is about {width:.2e} thick, which is too thin"),
+        )
+        .allowed("shapes that are thicker than a third of resolution.dx"),
         Unusable::Placing(Unplaceable::Full) => {
             BadInput::at("shapes", "the shapes leave hardly any fluid").allowed("a box that is mostly fluid")
         }
@@ -512,12 +536,14 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
         }
         Unusable::Folded(place) => BadInput::at(
             "variables",
-            format!("the particles around the shapes fold at {}: a shape moved too far, or into another wall", at(place)),
+            format!(
+                "the particles around the shapes fold at {}: a shape moved too far, or into another wall",
+                at(place)
+            ),
         )
         .allowed("shapes that stay apart, in the box"),
-        Unusable::Singular => {
-            BadInput::at("shapes", "the particles around the shapes have no map").allowed("shapes that are apart from each other")
-        }
+        Unusable::Singular => BadInput::at("shapes", "the particles around the shapes have no map")
+            .allowed("shapes that are apart from each other"),
     };
     bad.advice(finer(config)).into()
 }

@@ -223,9 +223,12 @@ struct Built<R> {
 
 fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     if config.is_around_shapes() {
-        return Err(BadInput::at("method.name", "fixed particles around shapes have a steady flow and no steps in time")
-            .allowed("simulate, check-gradient and optimize with them; for other commands a method whose particles move")
-            .advice("method.name=consistent"));
+        return Err(BadInput::at(
+            "method.name",
+            "fixed particles around shapes have a steady flow and no steps in time",
+        )
+        .allowed("simulate, check-gradient and optimize with them; for other commands a method whose particles move")
+        .advice("method.name=consistent"));
     }
     let (d, fluid, region) = (config.dimension(), &config.fluid, &config.region);
     let Geometry { lattice, shape, is_wall, .. } = Geometry::of(config)?;

@@ -23,6 +23,7 @@ use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::{self, Shape};
 use crate::design::{start_shape, Scheduled};
 use crate::error::{BadInput, Error};
+use crate::io::csv::read_columns;
 use crate::sph::Sweeps;
 
 /// The origin of a configuration.
@@ -225,6 +226,10 @@ impl Loaded {
         let (facts, methods) = (self.config.method.facts(), self.config.scene.built_in().methods());
         let fixed = facts.counterpart.filter(|other| facts.moves && methods.contains(other));
         match (self.config.optimise.search, fixed) {
+            (Search::Fixed, Some(fixed)) if self.config.scene == Family::Custom => {
+                // Only steady scenes in two dimensions, without formulas for shapes, have fixed particles.
+                Ok(self.with(&[Setting::set(&format!("method.name={fixed}"))]).unwrap_or_else(|_| self.clone()))
+            }
             (Search::Fixed, Some(fixed)) => {
                 let mut settings = vec![Setting::set(&format!("method.name={fixed}"))];
                 settings.extend(self.same_time());
@@ -320,13 +325,40 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
             .allowed("a scene: the key `scene`, and those keys that differ from the built-in scene of that name")
             .advice(format!("hydrograd scenes {} > my.toml", base.name)));
     }
-    let layer = layer
+    let mut layer = layer
         .change("design.file", |file| folder.join(file).to_string_lossy().into())
         .change("surrogate.model", |file| folder.join(file).to_string_lossy().into());
+    layer.change_value("shapes", |shapes| read_shapes(shapes, folder))?;
     let family = layer.string("scene").unwrap_or(SCENES[0].name);
     // The file was read as a Config, so its family exists.
     let scene = builtin::scene(family).expect("every scene family has a built-in scene");
     Ok((scene, Some(layer), Source::File(path.to_path_buf())))
+}
+
+/// Replaces shapes of kind "file" by the polygons in their files.
+fn read_shapes(shapes: &mut Value, folder: &Path) -> Result<(), BadInput> {
+    let all = shapes.as_array_mut().into_iter().flat_map(Array::iter_mut);
+    for (k, shape) in all.enumerate() {
+        let Some(shape) = shape.as_inline_table_mut() else { continue };
+        if shape.get("kind").and_then(Value::as_str) != Some("file") {
+            continue;
+        }
+        let key = format!("shapes[{k}].file");
+        let Some(file) = shape.get("file").and_then(Value::as_str).map(|file| folder.join(file)) else {
+            return Err(BadInput::at(&key, format!("{key} is missing")).allowed("a CSV file with columns x and y"));
+        };
+        let columns = read_columns(&file, &["x", "y"])
+            .map_err(|error| BadInput::at(&key, error.to_string()).allowed("a CSV file with columns x and y"))?;
+        let mut points = columns[0].iter().zip(&columns[1]).map(|(x, y)| [*x, *y]).collect::<Vec<[f64; 2]>>();
+        // A closed line may end where it began.
+        if points.len() > 1 && points.first() == points.last() {
+            points.pop();
+        }
+        shape.remove("file");
+        shape.insert("kind", "polygon".into());
+        shape.insert("points", Value::Array(points.iter().map(|p| Value::Array(Array::from_iter(*p))).collect()));
+    }
+    Ok(())
 }
 
 /// An error whose advice is where every key is explained, for this scene.
@@ -471,7 +503,9 @@ fn method_defaults(merged: &mut Merged, config: &Config) {
         // A value in a preset or in a run's configuration may be the default of another method.
         let given = default.unless == Given::AtAll && merged.places().contains_key(default.key);
         if !given && text(&now, default.key) == text(&usual, default.key) {
-            merged.set(default.key, Value::from(default.value), &place);
+            let is_whole = now.get(default.key).is_some_and(Value::is_integer);
+            let value = if is_whole { Value::from(default.value as i64) } else { Value::from(default.value) };
+            merged.set(default.key, value, &place);
         }
     }
 }

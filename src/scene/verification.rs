@@ -5,12 +5,13 @@
 //! smallest one. A gain of a few tenths of a percent that was found at one spacing, or at the end of one run, may be an
 //! error of the solver that the optimiser has exploited.
 
+use super::around_shapes::AroundShapes;
 use super::load::Loaded;
 use super::record::Record;
 use super::Scene;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
-use crate::config::scene::{Config, DesignWalls, Family, GradientMode, Method, Precision};
+use crate::config::scene::{Config, DesignWalls, Family, Goal, GradientMode, Method, Precision};
 use crate::config::schema::values;
 use crate::design::objectives::Figure;
 use crate::design::parametrisations::SplineSurface;
@@ -41,7 +42,10 @@ impl Check {
     /// scene without random numbers does not depend on the seed.
     fn is_for(self, config: &Config) -> bool {
         match self {
+            Self::OtherMotion if config.is_around_shapes() => config.counterpart_moves(),
             Self::OtherMotion => config.scene.has_design() && config.dimension() == 2,
+            Self::TwiceTime => !config.is_around_shapes(),
+            Self::OtherSeed if config.is_around_shapes() => false,
             Self::OtherSeed => config.scene.has_design() || config.time.jitter > 0.0,
             _ => true,
         }
@@ -57,6 +61,8 @@ pub struct Verification {
     pub best: Shape,
     /// The reference in words, such as `the flat wall`.
     pub reference_name: &'static str,
+    /// Whether checks that take minutes are left out.
+    pub quick: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -72,12 +78,15 @@ pub struct Finding {
     pub check: String,
     /// The figures of the reference and of the best wall, or the error.
     pub figures: Result<(f64, f64), String>,
+    /// Whether the figure was to become smaller.
+    pub smaller: bool,
 }
 
 impl Finding {
-    /// Best over reference, minus one; none if the check failed.
+    /// The change from reference to best over the reference, positive where it is better; none if the check failed.
     pub fn gain(&self) -> Option<f64> {
-        self.figures.as_ref().ok().map(|(reference, best)| best / reference - 1.0)
+        let sign = if self.smaller { -1.0 } else { 1.0 };
+        self.figures.as_ref().ok().map(|(reference, best)| sign * (best - reference) / reference.abs())
     }
 }
 
@@ -124,7 +133,7 @@ impl Verification {
             Some(first) => (first, "the first design"),
             None => (best.flat(), "the flat wall"),
         };
-        Ok(Self { loaded: loaded.for_search()?, reference, best, reference_name })
+        Ok(Self { loaded: loaded.for_search()?, reference, best, reference_name, quick: false })
     }
 
     /// Runs both walls under every check. `progress` is called with the completed fraction of the work. A check that
@@ -136,6 +145,7 @@ impl Verification {
             self.loaded.with(&wall_settings(wall, &self.loaded.config))?;
         }
         let checks = Check::EACH.into_iter().filter(|check| check.is_for(&self.loaded.config));
+        let checks = checks.filter(|check| !self.quick || *check != Check::OtherMotion);
         let pairs: Vec<(Check, Result<Pair, Error>)> = checks.map(|check| (check, self.pair(check))).collect();
         let work = |pair: &Result<Pair, Error>| pair.as_ref().map_or(0.0, |[one, _]| work(one));
         let total: f64 = pairs.iter().map(|(_, pair)| work(pair)).sum();
@@ -157,7 +167,8 @@ impl Verification {
                 found => found,
             });
             done += share;
-            checks.push(Finding { check: name, figures: found.map_err(|e| e.to_string()) });
+            let smaller = self.loaded.config.objective.goal == Goal::Smaller;
+            checks.push(Finding { check: name, figures: found.map_err(|e| e.to_string()), smaller });
         }
         let figure = Figure::of_config(&self.loaded.config);
         Ok(Verified { figure, reference_name: self.reference_name, checks, seconds: clock.elapsed().as_secs_f64() })
@@ -234,6 +245,7 @@ impl Verification {
     pub fn describe(&self, check: Check) -> String {
         let config = &self.loaded.config;
         match check {
+            Check::AsOptimised if config.is_around_shapes() => "particles placed anew".into(),
             Check::AsOptimised => "as optimised".into(),
             Check::FinerSpacing => match config.dimension() {
                 2 => format!("half the spacing ({})", rounded(config.finer_spacing())),
@@ -324,13 +336,19 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
         }
     };
     let (reference, best) = (half(&pair[0], 0.0)?, half(&pair[1], 0.5)?);
-    if !(reference > 0.0 && reference.is_finite() && best.is_finite()) {
+    let is_positive = reference > 0.0 || (pair[0].config.is_around_shapes() && reference != 0.0);
+    if !(is_positive && reference.is_finite() && best.is_finite()) {
         anyhow::bail!("the figures are {reference} and {best}: there is no gain over these");
     }
     Ok((reference, best))
 }
 
 fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
+    if loaded.config.is_around_shapes() {
+        let mut around = AroundShapes::new(&loaded.config)?;
+        let solution = around.solve(&around.first())?;
+        return Ok(around.objective(&solution).0);
+    }
     let design = Scene::<R>::problem(&loaded.config)?;
     let problem = design
         .ok_or_else(|| Error::run("a scene without a design has no wall to verify", "the scene heated-channel"))?;

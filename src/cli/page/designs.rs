@@ -4,6 +4,7 @@ use super::folder::{column, figure, percent, warnings, Columns, Folder};
 use super::leads::{number, text};
 use super::names::rounded;
 use super::{series, tables};
+use crate::cli::around_optimize::name_of;
 use crate::cli::explain::plan_of;
 use crate::cli::files::{read_config, AFTER, BEFORE, CHECKPOINT};
 use crate::config::scene::{Config, Family, GradientMode};
@@ -21,6 +22,9 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     let summary = folder.record("summary.json");
     let mut page = Page { warnings: warnings(&summary), ..Page::default() };
     let searched = loaded.for_search()?.config;
+    if searched.is_around_shapes() {
+        return Ok(around_shapes(folder, config, &summary, page));
+    }
     page.texts.push(plan(&searched, true)?);
     let Some(search) = summary.search(Figure::of_config(config)) else {
         page.lead = match folder.damage().is_empty() {
@@ -82,6 +86,54 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
     page.tables.extend(verification("Checked again by hydrograd verify", symbol, &later, is_steady));
     page.more.push(tables::of_scalars("All figures (summary.json)", &summary.0));
     Ok(page)
+}
+
+/// The page of a search with fixed particles around shapes.
+fn around_shapes(folder: &Folder, config: &Config, summary: &Record, mut page: Page) -> Page {
+    let name = name_of(config);
+    let number = |key: &str| summary.number(key);
+    let (Some(first), Some(best)) = (number(&format!("{name}_first")), number(&name)) else {
+        page.lead = "This search has no result yet.".into();
+        return page;
+    };
+    let epochs = summary.rows("seconds_per_epoch").map_or(0, Vec::len);
+    page.lead = format!(
+        "The objective, {name}, went from {} to {} ({:+.2}\u{a0}%) in {}.",
+        figure(first),
+        figure(best),
+        100.0 * (best / first - 1.0),
+        counted(epochs, "epoch")
+    );
+    page.remark = number("gain_survives").map_or(String::new(), |gain| {
+        format!("{:+.2}\u{a0}% survives with particles placed anew and at a finer spacing.", 100.0 * gain)
+    });
+    for (key, title) in [
+        ("flow_rate", "flow rate"),
+        ("particles", "particles"),
+        ("rounds", "clouds"),
+        ("jump", "largest jump between clouds"),
+    ] {
+        if let Some(cell) = summary.0.get(key).and_then(tables::cell) {
+            page.facts.push(Fact::new(title, cell));
+        }
+    }
+    page.charts = tables::charts(&folder.columns("history.csv"), |_| false);
+    let of = |name: &str| folder.path.join(name).join("particles.pvd");
+    page.fields =
+        series::fields(folder, &[("before", vec![of(BEFORE)]), ("after", vec![of(AFTER)])], config.resolution.dx);
+    page.tables.extend(summary.rows("variables").and_then(|all| tables::of_objects("Numbers of shapes", all)));
+    page.tables.extend(
+        summary.rows("shapes").and_then(|all| tables::of_objects("Shapes at the end, in the order of the file", all)),
+    );
+    page.tables.extend(verification("Does the gain hold?", &name, summary, false));
+    page.tables.extend(verification(
+        "Checked again by hydrograd verify",
+        &name,
+        &folder.record("verification.json"),
+        false,
+    ));
+    page.more.push(tables::of_scalars("All figures (summary.json)", &summary.0));
+    page
 }
 
 /// How reliable a gain is.
@@ -274,7 +326,8 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         page.tables.extend(tables::of_objects("Where the run diverged, and went on", recovered));
     }
     page.tables.push(tables::of_scalars("Figures", &summary.0));
-    page.tables.extend(summary.rows("shapes").and_then(|all| tables::of_objects("Shapes, in the order of the file", all)));
+    page.tables
+        .extend(summary.rows("shapes").and_then(|all| tables::of_objects("Shapes, in the order of the file", all)));
     if !config.is_around_shapes() {
         page.texts.push(plan(config, false)?);
     }
@@ -317,7 +370,11 @@ fn said(config: &Config, scene: &str, summary: &Record) -> (String, String) {
     }
     if config.is_around_shapes() {
         let figure = |key: &str, name: &str| number(key).map(|x| format!("{name} {}", short(x)));
-        let all = [figure("flow_rate", "flow rate"), figure("heat_outflow", "heat outflow"), figure("objective", "objective")];
+        let all = [
+            figure("flow_rate", "flow rate"),
+            figure("heat_outflow", "heat outflow"),
+            figure("objective", "objective"),
+        ];
         let all: Vec<String> = all.into_iter().flatten().collect();
         let particles = number("particles").unwrap_or_default();
         return (

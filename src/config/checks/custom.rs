@@ -3,11 +3,12 @@
 use crate::config::custom::{Fill, Kind, ShapeEntry, ShapeNumber, SideKind, VariableEntry};
 use crate::config::formula::Formula;
 use crate::config::range::{countable, is_whole, whole_spacings};
-use crate::config::scene::{Config, DriveName, Family, Goal, ObjectiveKind};
+use crate::config::scene::{Config, DriveName, Family, Goal, Method, ObjectiveKind};
 use crate::error::BadInput;
 
 /// The figures that fixed particles around shapes have.
-const OF_SHAPES: &str = "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation";
+const OF_SHAPES: &str =
+    "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation";
 
 /// The first of some numbers that belongs to a curve.
 fn numbers_of_curves(shapes: &[ShapeEntry], numbers: &[ShapeNumber]) -> Option<usize> {
@@ -73,6 +74,12 @@ impl Config {
         self.scene == Family::Custom && !self.method.facts().moves
     }
 
+    /// Whether a scene of fixed particles around shapes asks for nothing that moving ones lack.
+    pub fn counterpart_moves(&self) -> bool {
+        let moving = Self { method: Method::default(), ..self.clone() };
+        moving.check_no_figures_of_shapes().is_ok() && moving.check_cells().is_ok()
+    }
+
     /// Checks that nothing is asked for that only fixed particles around shapes have.
     pub(super) fn check_no_figures_of_shapes(&self) -> Result<(), BadInput> {
         let (objective, needs) = (&self.objective, "with method.name = fixed");
@@ -82,9 +89,12 @@ impl Config {
                 .advice("method.name=fixed"))
         };
         if objective.kind.is_of_shapes() {
-            return Err(BadInput::at("objective.kind", format!("objective.kind with method.name = {}", self.method.name()))
-                .allowed(format!("flow-rate, heat-outflow, outlet-temperature or wall-heat; figures of shapes {needs}"))
-                .advice("method.name=fixed, or objective.kind=flow-rate"));
+            return Err(BadInput::at(
+                "objective.kind",
+                format!("objective.kind with method.name = {}", self.method.name()),
+            )
+            .allowed(format!("flow-rate, heat-outflow, outlet-temperature or wall-heat; figures of shapes {needs}"))
+            .advice("method.name=fixed, or objective.kind=flow-rate"));
         }
         if !objective.shapes.is_empty() || !objective.terms.is_empty() || objective.goal != Goal::Larger {
             let key = match (objective.shapes.is_empty(), objective.terms.is_empty()) {
@@ -124,9 +134,12 @@ impl Config {
         for (k, shape) in self.shapes.iter().enumerate() {
             let key = format!("shapes[{k}]");
             if shape.kind == Kind::Where {
-                return Err(bad(&format!("{key}.kind"), "= where: a formula has no outline that fixed particles could follow".into())
-                    .allowed("box, disc, ellipse, spline, b-spline, naca, polygon, polyline, file")
-                    .advice("method.name=consistent"));
+                return Err(bad(
+                    &format!("{key}.kind"),
+                    "= where: a formula has no outline that fixed particles could follow".into(),
+                )
+                .allowed("box, disc, ellipse, spline, b-spline, naca, polygon, polyline, file")
+                .advice("method.name=consistent"));
             }
             if shape.fill == Fill::Fluid {
                 return Err(bad(&format!("{key}.fill"), "= fluid with method.name = fixed".into())
@@ -136,8 +149,9 @@ impl Config {
         }
         for (key, x) in [("region.inlet_until", region.inlet_until), ("region.outlet_from", region.outlet_from)] {
             if x.is_some() {
-                return Err(bad(key, "with method.name = fixed, whose flow is steady everywhere".into())
-                    .allowed("region.sides with left = { kind = \"inflow\", velocity = [..], temperature = .. } and an outflow"));
+                return Err(bad(key, "with method.name = fixed, whose flow is steady everywhere".into()).allowed(
+                    "region.sides with left = { kind = \"inflow\", velocity = [..], temperature = .. } and an outflow",
+                ));
             }
         }
         let has_heat = self.initial.temperature.is_some();
@@ -147,14 +161,18 @@ impl Config {
             let needs_velocity = side.kind == SideKind::Inflow;
             let may_velocity = matches!(side.kind, SideKind::Inflow | SideKind::Wall);
             if needs_velocity && side.velocity.is_none() {
-                return Err(bad(&key("velocity"), "is missing".into()).allowed("two formulas, such as [\"4*y*(1 - y)\", 0]"));
+                return Err(
+                    bad(&key("velocity"), "is missing".into()).allowed("two formulas, such as [\"4*y*(1 - y)\", 0]")
+                );
             }
             if !may_velocity && (side.velocity.is_some() || side.temperature.is_some() || side.heat_flux.is_some()) {
                 return Err(bad(&key("kind"), "has neither velocity nor temperature nor heat_flux".into())
                     .allowed("those of inflow and wall"));
             }
             if needs_velocity && has_heat && side.temperature.is_none() {
-                return Err(bad(&key("temperature"), "is missing: what temperature enters?".into()).allowed("a formula"));
+                return Err(
+                    bad(&key("temperature"), "is missing: what temperature enters?".into()).allowed("a formula")
+                );
             }
             if !has_heat && (side.temperature.is_some() || side.heat_flux.is_some()) {
                 return Err(bad(&key("temperature"), "in a scene without heat".into())
@@ -182,19 +200,25 @@ impl Config {
         let one = |key: &str, kind: ObjectiveKind, shapes: &[usize], limit: bool| {
             let bad = |what: &str| BadInput::at(key, format!("{key}: {what}"));
             if let Some(wrong) = shapes.iter().find(|&&k| k >= self.shapes.len()) {
-                return Err(bad(&format!("there is no shape {wrong}"))
-                    .allowed(format!("0 ... {}, the places of shapes in the file", self.shapes.len().saturating_sub(1))));
+                return Err(bad(&format!("there is no shape {wrong}")).allowed(format!(
+                    "0 ... {}, the places of shapes in the file",
+                    self.shapes.len().saturating_sub(1)
+                )));
             }
             let about_heat = matches!(kind, ObjectiveKind::ShapeHeat | ObjectiveKind::HeatOutflow);
             if about_heat && !has_heat {
-                return Err(bad("heat in a scene without it").allowed("with initial.temperature").advice("initial.temperature=0.0"));
+                return Err(bad("heat in a scene without it")
+                    .allowed("with initial.temperature")
+                    .advice("initial.temperature=0.0"));
             }
             match kind {
                 ObjectiveKind::Area | ObjectiveKind::Distance if !limit => {
                     Err(bad("area and distance are for limits").allowed("[[limits]] with at_least or at_most"))
                 }
                 ObjectiveKind::OutletTemperature | ObjectiveKind::WallHeat => {
-                    Err(bad("this figure belongs to moving particles").allowed(OF_SHAPES).advice("objective.kind=shape-heat"))
+                    Err(bad("this figure belongs to moving particles")
+                        .allowed(OF_SHAPES)
+                        .advice("objective.kind=shape-heat"))
                 }
                 _ => Ok(()),
             }
@@ -207,7 +231,9 @@ impl Config {
             one(&format!("objective.terms[{k}]"), term.kind, &term.shapes, false)?;
             if term.kind == ObjectiveKind::LiftOverDrag {
                 let key = format!("objective.terms[{k}].kind");
-                return Err(BadInput::at(&key, format!("{key} = lift-over-drag, which is no sum")).allowed("objective.kind"));
+                return Err(
+                    BadInput::at(&key, format!("{key} = lift-over-drag, which is no sum")).allowed("objective.kind")
+                );
             }
         }
         for (k, limit) in self.limits.iter().enumerate() {
@@ -302,7 +328,10 @@ impl Config {
         if let Some(k) = numbers_of_curves(&self.shapes, &self.shape_numbers()) {
             return Err(BadInput::at(
                 format!("variables[{k}].number"),
-                format!("variables[{k}].number = \"{}\": points of moving particles do not follow curves", self.variables[k].number),
+                format!(
+                    "variables[{k}].number = \"{}\": points of moving particles do not follow curves",
+                    self.variables[k].number
+                ),
             )
             .allowed("numbers of boxes, discs, polylines and polygons; those of curves with method.name = fixed")
             .advice("method.name=fixed"));

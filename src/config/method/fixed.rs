@@ -51,6 +51,8 @@ impl Kind for Fixed {
     fn usual(&self, has_design: bool) -> Vec<Usual> {
         // The configuration of a run of moving particles has their CFL number.
         let cfl = Usual { key: "time.cfl", value: 1.2, unless: Given::AnotherValue };
-        has_design.then_some(cfl).into_iter().collect()
+        // Around shapes an epoch is a fraction of a second.
+        let epochs = Usual { key: "optimise.epochs", value: 60.0, unless: Given::AtAll };
+        vec![if has_design { cfl } else { epochs }]
     }
 }

@@ -20,9 +20,17 @@ pub struct Deformation {
 impl Deformation {
     /// # Errors
     /// A reference cloud whose Laplace equation has no solution.
-    pub fn new(stencils: &Stencils, operators: &Operators, places: &[[f64; 2]], inside: usize, threads: usize) -> Result<Self, Singular> {
+    pub fn new(
+        stencils: &Stencils,
+        operators: &Operators,
+        places: &[[f64; 2]],
+        inside: usize,
+        threads: usize,
+    ) -> Result<Self, Singular> {
         let n = stencils.particles;
-        let mut matrix = BlockMatrix::of_lists(n, 1, |i| (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect());
+        let mut matrix = BlockMatrix::of_lists(n, 1, |i| {
+            (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect()
+        });
         for i in 0..n {
             let diagonal = matrix.entry(i, i as u32);
             if i >= inside {

@@ -129,7 +129,10 @@ impl Equations {
         for (i, row) in residual.chunks_exact_mut(3).enumerate() {
             row[2] = du[i][0] + dv[i][1] - self.damping[i] * dp[i][LEFT] + state.lambda;
             if i < self.inside {
-                row[0] = u[i] * du[i][0] + v[i] * du[i][1] + dp[i][0] - nu * (du[i][2] + du[i][4]) - self.force[0] - state.drive;
+                row[0] = u[i] * du[i][0] + v[i] * du[i][1] + dp[i][0]
+                    - nu * (du[i][2] + du[i][4])
+                    - self.force[0]
+                    - state.drive;
                 row[1] = u[i] * dv[i][0] + v[i] * dv[i][1] + dp[i][1] - nu * (dv[i][2] + dv[i][4]) - self.force[1];
                 continue;
             }

@@ -130,13 +130,18 @@ impl Measures {
             let step = (high[0] - low[0]) / cells as f64;
             let distance = |x: f64| {
                 let of = |k: &usize| {
-                    places.polygons[*k].iter().map(|p| plane.between([x, 0.0], [p[0], 0.0])[0].abs()).fold(f64::MAX, f64::min)
+                    places.polygons[*k]
+                        .iter()
+                        .map(|p| plane.between([x, 0.0], [p[0], 0.0])[0].abs())
+                        .fold(f64::MAX, f64::min)
                 };
                 let ends = if plane.periodic[0] { f64::MAX } else { (x - low[0]).min(high[0] - x) };
                 places.bodies.iter().map(of).fold(ends, f64::min)
             };
             let columns = (0..cells).map(|k| low[0] + k as f64 * step);
-            columns.fold((low[0], f64::MIN), |best, x| if distance(x) > best.1 + 1e-9 { (x, distance(x)) } else { best }).0
+            columns
+                .fold((low[0], f64::MIN), |best, x| if distance(x) > best.1 + 1e-9 { (x, distance(x)) } else { best })
+                .0
         });
         let near = super::nearest::Nearest::new(plane, cloud.ground.dx, &places.place);
         let rows = cloud.ground.cells(&places.corners)[1];
@@ -282,7 +287,9 @@ impl Measures {
     fn balances_heat(&self, at: &At<'_>) -> bool {
         self.rest.iter().any(|&k| {
             let Condition { motion, warmth, .. } = at.shaped.conditions[k];
-            matches!(warmth, Warmth::Given(_)) || matches!(motion, Motion::Outflow(_)) || !matches!(warmth, Warmth::Flux(q) if q == 0.0)
+            matches!(warmth, Warmth::Given(_))
+                || matches!(motion, Motion::Outflow(_))
+                || !matches!(warmth, Warmth::Flux(q) if q == 0.0)
         })
     }
 

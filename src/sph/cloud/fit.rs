@@ -19,7 +19,7 @@
 //!
 //! Tables of pairs are `[blocks, K, WIDEST]`, those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
-use super::nearest::{Nearest, Plane};
+use super::nearest::Plane;
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, pull_back, solve, values};
@@ -66,16 +66,12 @@ pub fn field(fields: usize, i: usize, k: usize) -> usize {
 }
 
 impl Stencils {
-    /// The nearest `neighbours` of each particle that `sees` accepts; none if a particle has fewer.
-    pub fn new(
-        plane: Plane,
-        places: &[[f64; 2]],
-        width: f64,
-        neighbours: usize,
-        sees: impl Fn(usize, usize) -> bool,
-    ) -> Result<Self, usize> {
+    /// The stencils of particles at `places`, given the distance and number of those `near` each, nearest first.
+    ///
+    /// # Errors
+    /// A particle with fewer than `neighbours + 1` of them.
+    pub fn new(plane: Plane, places: &[[f64; 2]], neighbours: usize, near: &[Vec<(f64, u32)>]) -> Result<Self, usize> {
         let (n, rows) = (places.len(), blocks(places.len()));
-        let near = Nearest::new(plane, width, places);
         let empty = vec![0.0; rows * neighbours * WIDEST];
         let mut all = Self {
             particles: n,
@@ -86,7 +82,7 @@ impl Stencils {
             scale: vec![1.0; rows * WIDEST],
         };
         for i in 0..n {
-            let found = near.of(places[i], neighbours + 1, |j, _| j != i && sees(i, j));
+            let found = &near[i];
             if found.len() <= neighbours {
                 return Err(i);
             }

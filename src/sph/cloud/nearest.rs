@@ -12,7 +12,8 @@ impl Plane {
     pub fn between(&self, a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
         std::array::from_fn(|d| {
             let x = b[d] - a[d];
-            if self.periodic[d] {
+            // Most are near.
+            if self.periodic[d] && x.abs() > 0.5 * self.size[d] {
                 x - self.size[d] * (x / self.size[d]).round()
             } else {
                 x
@@ -22,7 +23,7 @@ impl Plane {
 
     pub fn distance(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
         let [x, y] = self.between(a, b);
-        x.hypot(y)
+        (x * x + y * y).sqrt()
     }
 
     /// The image of a place within the box.
@@ -126,7 +127,8 @@ impl Nearest {
             waiting.extend(members.iter().map(|&i| (self.plane.distance(p, self.places[i as usize]), i)));
             // All within this distance are found.
             let certain = if any { ring as f64 * width } else { f64::INFINITY };
-            let mut ready: Vec<(f64, u32)> = waiting.iter().copied().filter(|(distance, _)| *distance <= certain).collect();
+            let mut ready: Vec<(f64, u32)> =
+                waiting.iter().copied().filter(|(distance, _)| *distance <= certain).collect();
             waiting.retain(|(distance, _)| *distance > certain);
             ready.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             for (distance, i) in ready {

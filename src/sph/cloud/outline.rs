@@ -10,12 +10,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// A number, or a number with its derivative by one other.
 pub trait Scalar:
-    Copy
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
-    + Neg<Output = Self>
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
     fn of(value: f64) -> Self;
     fn sqrt(self) -> Self;
@@ -413,12 +408,7 @@ impl Outline {
                     (-3.0 * u * u * u + 3.0 * u * u + 3.0 * u + 1.0) / 6.0,
                     u * u * u / 6.0,
                 ];
-                let slope = [
-                    -0.5 * (1.0 - u).powi(2),
-                    1.5 * u * u - 2.0 * u,
-                    -1.5 * u * u + u + 0.5,
-                    0.5 * u * u,
-                ];
+                let slope = [-0.5 * (1.0 - u).powi(2), 1.5 * u * u - 2.0 * u, -1.5 * u * u + u + 0.5, 0.5 * u * u];
                 let (mut place, mut along) = ([S::of(0.0); 2], [S::of(0.0); 2]);
                 for b in 0..4 {
                     let point = (k + b + n - 1) % n;

@@ -3,6 +3,7 @@
 use super::deformation::Deformation;
 use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Operators, Warmth};
 use super::fit::Stencils;
+use super::nearest::{Nearest, Plane};
 use super::placing::{is_inside, BoundaryPoint, Ground, Places, Unplaceable};
 use std::fmt::Debug;
 
@@ -78,39 +79,57 @@ fn crosses(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> bool {
     side(a, b, c) * side(a, b, d) < 0.0 && side(c, d, a) * side(c, d, b) < 0.0
 }
 
-/// Whether particles can be neighbours: no body is between them.
-fn sight(ground: &Ground, places: &Places) -> impl Fn(usize, usize) -> bool {
-    // The points of each shape in order along its outline.
-    let mut lines: Vec<Vec<usize>> = vec![vec![]; ground.outlines.len()];
-    for (k, point) in places.boundary.iter().enumerate() {
-        if let Some((shape, _)) = point.on {
-            lines[shape].push(k);
+/// Decides whether particles can be neighbours: no body is between them.
+struct Sight<'a> {
+    plane: Plane,
+    places: &'a Places,
+    /// The points on bodies, and of each the place in the boundary and the two next to it along its outline.
+    points: Nearest,
+    boundary: Vec<[usize; 3]>,
+    /// Distance of every particle from the nearest point on a body.
+    distance: Vec<f64>,
+}
+
+/// Points on bodies around the middle of a segment whose edges it may cross.
+const EDGES: usize = 12;
+
+impl<'a> Sight<'a> {
+    fn new(ground: &Ground, places: &'a Places) -> Self {
+        // The points of each body in order along its outline.
+        let mut lines: Vec<Vec<usize>> = vec![vec![]; ground.outlines.len()];
+        for (k, point) in places.boundary.iter().enumerate() {
+            if let Some((shape, _)) = point.on.filter(|on| places.bodies.contains(&on.0)) {
+                lines[shape].push(k);
+            }
         }
-    }
-    for line in &mut lines {
-        line.sort_by(|&a, &b| {
+        let mut boundary = vec![];
+        for line in &mut lines {
             let t = |k: usize| places.boundary[k].on.map_or(0.0, |on| on.1);
-            t(a).total_cmp(&t(b))
-        });
+            line.sort_by(|&a, &b| t(a).total_cmp(&t(b)));
+            let n = line.len();
+            boundary.extend((0..n).map(|k| [line[k], line[(k + n - 1) % n], line[(k + 1) % n]]));
+        }
+        let place = |k: usize| places.place[places.boundary[k].particle];
+        let on_bodies: Vec<[f64; 2]> = boundary.iter().map(|[k, ..]| place(*k)).collect();
+        let points = Nearest::new(ground.plane, ground.dx, &on_bodies);
+        let distance = match boundary.is_empty() {
+            true => vec![f64::INFINITY; places.place.len()],
+            false => places.place.iter().map(|p| points.distance(*p)).collect(),
+        };
+        Self { plane: ground.plane, places, points, boundary, distance }
     }
-    let bodies = places.bodies.clone();
-    let (plane, inside) = (ground.plane, places.inside);
-    let place = places.place.clone();
-    let boundary = places.boundary.clone();
-    let polygons = places.polygons.clone();
-    let boxes: Vec<[[f64; 2]; 2]> = polygons
-        .iter()
-        .map(|points| {
-            points.iter().fold([[f64::MAX; 2], [f64::MIN; 2]], |[low, high], p| {
-                [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
-            })
-        })
-        .collect();
-    move |i, j| {
-        let a = place[i];
-        let r = plane.between(a, place[j]);
-        let length = r[0].hypot(r[1]);
-        let of = |i: usize| (i >= inside).then(|| boundary[i - inside]);
+
+    /// `j` is nearer to `i` than it is far.
+    fn sees(&self, i: usize, j: usize) -> bool {
+        let places = self.places;
+        let a = places.place[i];
+        let r = self.plane.between(a, places.place[j]);
+        let length = (r[0] * r[0] + r[1] * r[1]).sqrt();
+        let finest = places.spacing[i].max(places.spacing[j]);
+        if self.distance[i] + self.distance[j] > length + finest {
+            return true;
+        }
+        let of = |i: usize| (i >= places.inside).then(|| places.boundary[i - places.inside]);
         let (of_i, of_j) = (of(i), of(j));
         if let (Some(p), Some(q)) = (of_i, of_j) {
             // Both sides of a thin body, whose inside is between them.
@@ -120,44 +139,29 @@ fn sight(ground: &Ground, places: &Places) -> impl Fn(usize, usize) -> bool {
                 return false;
             }
         }
-        for &body in &bodies {
-            // The image of the body that is near.
-            let [low, high] = boxes[body];
-            let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
-            let to = plane.between(middle, a);
-            let near = [middle[0] + to[0], middle[1] + to[1]];
-            let beyond = |d: usize| near[d] < low[d] - length || near[d] > high[d] + length;
-            if beyond(0) || beyond(1) {
-                continue;
-            }
-            let b = [near[0] + r[0], near[1] + r[1]];
-            let line = &lines[body];
-            let own = |k: usize, p: Option<BoundaryPoint>| p.is_some_and(|p| p.particle == boundary[k].particle);
-            for (n, &k) in line.iter().enumerate() {
-                let next = line[(n + 1) % line.len()];
-                if own(k, of_i) || own(next, of_i) || own(k, of_j) || own(next, of_j) {
-                    continue;
-                }
-                let unwrapped = |k: usize| {
-                    let p = place[boundary[k].particle];
-                    let step = plane.between(middle, p);
-                    [middle[0] + step[0], middle[1] + step[1]]
-                };
-                if crosses(near, b, unwrapped(k), unwrapped(next)) {
+        let middle = [a[0] + 0.5 * r[0], a[1] + 0.5 * r[1]];
+        let (from, to) = ([-0.5 * r[0], -0.5 * r[1]], [0.5 * r[0], 0.5 * r[1]]);
+        let place = |k: usize| self.plane.between(middle, places.place[places.boundary[k].particle]);
+        for (_, found) in self.points.of(self.plane.wrapped(middle), EDGES, |_, _| true) {
+            let [k, before, after] = self.boundary[found as usize];
+            for (k, next) in [(before, k), (k, after)] {
+                let own =
+                    |p: Option<BoundaryPoint>| p.is_some_and(|p| [k, next].contains(&(p.particle - places.inside)));
+                if !own(of_i) && !own(of_j) && crosses(from, to, place(k), place(next)) {
                     return false;
                 }
             }
-            if of_i.is_none() != of_j.is_none() {
-                // A point on the far side of a tip.
-                let wall = of_i.or(of_j);
-                if let Some(wall) = wall.filter(|wall| wall.on.map(|on| on.0) == Some(body)) {
-                    let sign = if of_i.is_some() { 1.0 } else { -1.0 };
-                    let out = sign * (wall.normal[0] * r[0] + wall.normal[1] * r[1]) / length;
-                    let half = [near[0] + 0.5 * r[0], near[1] + 0.5 * r[1]];
-                    if out < -0.5 && is_inside(half, &polygons[body]) {
-                        return false;
-                    }
-                }
+        }
+        // A point on the far side of a tip.
+        let wall = if of_i.is_none() != of_j.is_none() { of_i.or(of_j) } else { None };
+        if let Some((wall, (body, _))) = wall.and_then(|wall| Some((wall, wall.on?))) {
+            let sign = if of_i.is_some() { 1.0 } else { -1.0 };
+            let out = sign * (wall.normal[0] * r[0] + wall.normal[1] * r[1]) / length;
+            // The polygon is not wrapped.
+            let own = places.polygons[body].first().copied().unwrap_or(middle);
+            let step = self.plane.between(own, middle);
+            if out < -0.5 && is_inside([own[0] + step[0], own[1] + step[1]], &places.polygons[body]) {
+                return false;
             }
         }
         true
@@ -165,20 +169,31 @@ fn sight(ground: &Ground, places: &Places) -> impl Fn(usize, usize) -> bool {
 }
 
 impl Cloud {
+    /// Places particles around the shapes of `ground`.
+    ///
     /// # Errors
     /// Shapes that cannot be resolved.
-    pub fn new(ground: Ground, fluid: Fluid, surroundings: std::sync::Arc<dyn Surroundings>, threads: usize) -> Result<Self, Unusable> {
+    pub fn new(
+        ground: Ground,
+        fluid: Fluid,
+        surroundings: std::sync::Arc<dyn Surroundings>,
+        threads: usize,
+    ) -> Result<Self, Unusable> {
         let places = ground.fill().map_err(Unusable::Placing)?;
-        let stencils = |neighbours: usize| {
-            Stencils::new(ground.plane, &places.place, ground.dx, neighbours, sight(&ground, &places))
-                .map_err(|i| Unusable::Lonely(places.place[i]))
+        let most = if fluid.diffusivity.is_some() { HEAT_NEIGHBOURS } else { NEIGHBOURS };
+        let near = {
+            let (all, sight) = (Nearest::new(ground.plane, ground.dx, &places.place), Sight::new(&ground, &places));
+            let of = |i: usize| all.of(places.place[i], most + 1, |j, _| j != i && sight.sees(i, j));
+            (0..places.place.len()).map(of).collect::<Vec<_>>()
         };
-        let flow = stencils(NEIGHBOURS)?;
-        let heat = if fluid.diffusivity.is_some() { stencils(HEAT_NEIGHBOURS)? } else { flow.clone() };
+        let stencils = |neighbours: usize| {
+            Stencils::new(ground.plane, &places.place, neighbours, &near).map_err(|i| Unusable::Lonely(places.place[i]))
+        };
+        let (flow, heat) = (stencils(NEIGHBOURS)?, stencils(most)?);
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = Operators { flow: flow.coefficients(&position), ..Operators::default() };
-        let deformation =
-            Deformation::new(&flow, &operators, &places.place, places.inside, threads).map_err(|_| Unusable::Singular)?;
+        let deformation = Deformation::new(&flow, &operators, &places.place, places.inside, threads)
+            .map_err(|_| Unusable::Singular)?;
         Ok(Self { ground, places, fluid, deformation, flow, heat, surroundings })
     }
 
@@ -230,7 +245,8 @@ impl Cloud {
         let mut normal: Vec<[f64; 2]> = self.places.boundary.iter().map(|p| p.normal).collect();
         for (shape, (points, parameters)) in self.on_shapes().iter().enumerate() {
             let outline = &self.ground.outlines[shape];
-            let (old, new) = (outline.points(parameters, &outline.numbers), outline.points(parameters, &numbers[shape]));
+            let (old, new) =
+                (outline.points(parameters, &outline.numbers), outline.points(parameters, &numbers[shape]));
             for ((&k, old), new) in points.iter().zip(&old).zip(&new) {
                 let weight = self.places.boundary[k].weight;
                 (0..2).for_each(|d| moved[d][k] = new.place[d] - old.place[d]);
@@ -286,7 +302,13 @@ impl Cloud {
     }
 
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary.
-    pub fn by_numbers(&self, shaped: &Shaped, position_bar: &[Vec<f64>; 2], bar: &Bar, wanted: &[(usize, usize)]) -> Vec<f64> {
+    pub fn by_numbers(
+        &self,
+        shaped: &Shaped,
+        position_bar: &[Vec<f64>; 2],
+        bar: &Bar,
+        wanted: &[(usize, usize)],
+    ) -> Vec<f64> {
         let inside = self.places.inside;
         let place_bar: [Vec<f64>; 2] = std::array::from_fn(|d| self.deformation.pull_back(&position_bar[d]));
         let on_shapes = self.on_shapes();

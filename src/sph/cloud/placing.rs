@@ -96,16 +96,23 @@ fn outward(along: [f64; 2]) -> [f64; 2] {
 impl Ground {
     /// Offsets of periodic images that reach into the box.
     fn images(&self) -> Vec<[f64; 2]> {
-        let steps = |d: usize| if self.plane.periodic[d] { vec![0.0, -self.plane.size[d], self.plane.size[d]] } else { vec![0.0] };
+        let steps = |d: usize| {
+            if self.plane.periodic[d] {
+                vec![0.0, -self.plane.size[d], self.plane.size[d]]
+            } else {
+                vec![0.0]
+            }
+        };
         steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect()
     }
 
     /// Whether a place, or an image of it, is inside any polygon but that of `except`.
     pub fn is_in_wall(&self, polygons: &[Vec<[f64; 2]>], p: [f64; 2], except: Option<usize>) -> Option<usize> {
         let images = self.images();
-        (0..polygons.len()).rev().filter(|&k| Some(k) != except).find(|&k| {
-            images.iter().any(|image| is_inside([p[0] + image[0], p[1] + image[1]], &polygons[k]))
-        })
+        (0..polygons.len())
+            .rev()
+            .filter(|&k| Some(k) != except)
+            .find(|&k| images.iter().any(|image| is_inside([p[0] + image[0], p[1] + image[1]], &polygons[k])))
     }
 
     fn is_in_box(&self, p: [f64; 2]) -> bool {
@@ -148,7 +155,8 @@ impl Ground {
             // A wall that reaches out of a periodic box is there once.
             let in_period = |p: [f64; 2]| (0..2).all(|d| p[d] >= -1e-9 * dx && p[d] < plane.size[d] - 1e-9 * dx);
             let whole = points.iter().all(|point| is_free(point.place));
-            let free: Vec<bool> = points.iter().map(|point| is_free(point.place) && (whole || in_period(point.place))).collect();
+            let free: Vec<bool> =
+                points.iter().map(|point| is_free(point.place) && (whole || in_period(point.place))).collect();
             if !free.iter().any(|&free| free) {
                 continue;
             }
@@ -163,7 +171,13 @@ impl Ground {
                 let _ = perimeter;
                 for (t, dt, h) in chosen {
                     let on = self.outlines[k].points(&[t], &self.outlines[k].numbers)[0];
-                    let point = BoundaryPoint { particle: 0, on: Some((k, t)), weight: dt, normal: outward(on.along), side: None };
+                    let point = BoundaryPoint {
+                        particle: 0,
+                        on: Some((k, t)),
+                        weight: dt,
+                        normal: outward(on.along),
+                        side: None,
+                    };
                     surface.push((point, on.place, h));
                 }
                 self.layers(points, &lengths, &spacing, &mut layers, &mut near);
@@ -176,7 +190,10 @@ impl Ground {
                     let total: f64 = length.iter().sum();
                     let is_straight = {
                         let first = outward(on[0].along);
-                        on.iter().all(|point| { let n = outward(point.along); n[0] * first[0] + n[1] * first[1] > 1.0 - 1e-9 })
+                        on.iter().all(|point| {
+                            let n = outward(point.along);
+                            n[0] * first[0] + n[1] * first[1] > 1.0 - 1e-9
+                        })
                     };
                     let spacing = if is_straight { vec![dx; on.len()] } else { self.surface_spacing(&on, &length) };
                     let mut parameters = part(samples);
@@ -185,13 +202,23 @@ impl Ground {
                             parameters[i] += 1.0;
                         }
                     }
-                    let is_period = (0..2).any(|d| plane.periodic[d] && (total - plane.size[d]).abs() < 2.0 * total / on.len() as f64 && is_straight);
+                    let is_period = (0..2).any(|d| {
+                        plane.periodic[d]
+                            && (total - plane.size[d]).abs() < 2.0 * total / on.len() as f64
+                            && is_straight
+                    });
                     let chosen = spread(&parameters, &length, &spacing, is_period, if is_period { 0.0 } else { 0.5 });
                     for (t, dt, h) in chosen {
                         let t = t.rem_euclid(1.0);
                         let on = self.outlines[k].points(&[t], &self.outlines[k].numbers)[0];
                         let place = plane.wrapped(on.place);
-                        let point = BoundaryPoint { particle: 0, on: Some((k, t)), weight: dt, normal: outward(on.along), side: None };
+                        let point = BoundaryPoint {
+                            particle: 0,
+                            on: Some((k, t)),
+                            weight: dt,
+                            normal: outward(on.along),
+                            side: None,
+                        };
                         surface.push((point, place, h));
                     }
                     if !is_straight {
@@ -229,7 +256,8 @@ impl Ground {
         let layered: Vec<[f64; 2]> = kept.iter().map(|(p, _)| *p).collect();
         let to_layers = Nearest::new(plane, dx, &layered);
         for p in self.lattice(&places.corners) {
-            if !self.is_in_box(p) || self.is_in_wall(&polygons, p, None).is_some() || to_walls.distance(p) <= 0.75 * dx {
+            if !self.is_in_box(p) || self.is_in_wall(&polygons, p, None).is_some() || to_walls.distance(p) <= 0.75 * dx
+            {
                 continue;
             }
             let beyond = match to_samples.one(p) {
@@ -254,7 +282,10 @@ impl Ground {
             .iter()
             .map(|(p, _)| {
                 let by_body = to_samples.one(*p).is_some_and(|(distance, i)| distance < near[i].1 + 2.0 * dx);
-                by_body || to_walls.one(*p).is_some_and(|(distance, _)| distance < 1.6 * dx && (distance / dx - 1.0).abs() > 0.01)
+                by_body
+                    || to_walls
+                        .one(*p)
+                        .is_some_and(|(distance, _)| distance < 1.6 * dx && (distance / dx - 1.0).abs() > 0.01)
             })
             .collect();
         self.relax(&mut places, &moves);
@@ -379,7 +410,11 @@ impl Ground {
             };
             for (end, way) in [(0, 1.0), (1, -1.0)] {
                 let at = |depth: f64| if way > 0.0 { depth } else { size[d] - depth };
-                let most = (1..).map(|k| 0.25 * self.dx * f64::from(k)).take_while(|&x| x < 0.5 * size[d]).take_while(|&x| covered(at(x))).last();
+                let most = (1..)
+                    .map(|k| 0.25 * self.dx * f64::from(k))
+                    .take_while(|&x| x < 0.5 * size[d])
+                    .take_while(|&x| covered(at(x)))
+                    .last();
                 if let Some(inner) = most {
                     let (mut low, mut high) = (inner, inner + 0.25 * self.dx);
                     for _ in 0..40 {
@@ -409,7 +444,12 @@ impl Ground {
     }
 
     /// Points on those sides of the box that the fluid reaches.
-    fn sides(&self, polygons: &[Vec<[f64; 2]>], corners: &[[f64; 2]; 2], surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>) {
+    fn sides(
+        &self,
+        polygons: &[Vec<[f64; 2]>],
+        corners: &[[f64; 2]; 2],
+        surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>,
+    ) {
         let Plane { size, periodic } = self.plane;
         let cells = self.cells(corners);
         for d in 0..2 {
@@ -417,7 +457,8 @@ impl Ground {
                 continue;
             }
             for end in 0..2 {
-                let covered = if end == 0 { corners[0][d] > 1e-9 * self.dx } else { corners[1][d] < size[d] - 1e-9 * self.dx };
+                let covered =
+                    if end == 0 { corners[0][d] > 1e-9 * self.dx } else { corners[1][d] < size[d] - 1e-9 * self.dx };
                 if covered {
                     continue;
                 }
@@ -444,7 +485,11 @@ impl Ground {
                         continue;
                     }
                     let weight = if is_end { 0.5 * step } else { step };
-                    surface.push((BoundaryPoint { particle: 0, on: None, weight, normal, side: Some(2 * d + end) }, p, self.dx));
+                    surface.push((
+                        BoundaryPoint { particle: 0, on: None, weight, normal, side: Some(2 * d + end) },
+                        p,
+                        self.dx,
+                    ));
                 }
             }
         }

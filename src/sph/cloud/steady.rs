@@ -195,7 +195,9 @@ impl Solver {
     pub fn new(equations: Equations, places: &[[f64; 2]], threads: usize) -> Self {
         let n = equations.particles();
         let lists = |stencils: &super::fit::Stencils, size: usize| {
-            BlockMatrix::of_lists(n, size, |i| (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect())
+            BlockMatrix::of_lists(n, size, |i| {
+                (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect()
+            })
         };
         let (flow, heat) = (lists(&equations.flow, 3), lists(&equations.heat, 1));
         let flow_order = Arc::new(Order::new(&flow, |i| places[i]));
@@ -206,7 +208,13 @@ impl Solver {
         Self { equations, threads, flow_order, heat_order, flow, heat, factors: None, counts: Counts::default() }
     }
 
-    fn border(&self, state: &State, d: &Derivatives, operators: &Operators, held: Option<(&Held, &dyn FlowRate)>) -> Border {
+    fn border(
+        &self,
+        state: &State,
+        d: &Derivatives,
+        operators: &Operators,
+        held: Option<(&Held, &dyn FlowRate)>,
+    ) -> Border {
         let (equations, n) = (&self.equations, self.equations.particles());
         let mut border = Border { pins: !equations.gives_pressure(), ..Border::default() };
         if border.pins {
@@ -270,9 +278,16 @@ impl Solver {
     }
 
     /// Solves with the present matrix: by GMRES with the factors that are there, or by new factors.
-    fn solved(&mut self, border: &Border, right: &[f64], tolerance: f64, most: usize, transposed: bool) -> Result<Vec<f64>, Singular> {
+    fn solved(
+        &mut self,
+        border: &Border,
+        right: &[f64],
+        tolerance: f64,
+        most: usize,
+        transposed: bool,
+    ) -> Result<Vec<f64>, Singular> {
         let count = std::cell::Cell::new(0);
-        if let Some(factors) = &self.factors {
+        if let Some(factors) = self.factors.as_ref().filter(|_| most > 0) {
             let times = |x: &[f64]| {
                 count.set(count.get() + 1);
                 self.times(border, x, transposed)
@@ -301,7 +316,12 @@ impl Solver {
     ///
     /// # Errors
     /// No convergence.
-    pub fn settle(&mut self, operators: &Operators, state: &mut State, held: Option<(&Held, &dyn FlowRate)>) -> Result<(), NoSteadyState> {
+    pub fn settle(
+        &mut self,
+        operators: &Operators,
+        state: &mut State,
+        held: Option<(&Held, &dyn FlowRate)>,
+    ) -> Result<(), NoSteadyState> {
         let n = self.equations.particles();
         let mut scale = 0.0;
         let mut last = f64::INFINITY;
@@ -312,7 +332,11 @@ impl Solver {
             if !largest.is_finite() || largest > 1e12 {
                 return Err(NoSteadyState::Diverged { residual: largest });
             }
-            scale = if step == 0 { largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE) } else { f64::max(scale, f64::MIN_POSITIVE) };
+            scale = if step == 0 {
+                largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE)
+            } else {
+                f64::max(scale, f64::MIN_POSITIVE)
+            };
             // Below this rounding of second derivatives may keep it from falling.
             if largest <= TOLERANCE * scale || (largest <= 1e-8 * scale && largest > 0.2 * last) {
                 return self.settle_heat(operators, state);
@@ -322,7 +346,9 @@ impl Solver {
             let border = self.border(state, &d, operators, held);
             let right: Vec<f64> = residual.iter().map(|x| -x).collect();
             let tolerance = (1e-2 * largest / scale).clamp(1e-6, 1e-3);
-            let change = self.solved(&border, &right, tolerance, ITERATIONS, false)?;
+            // Far from a solution the last factors are of no use.
+            let most = if step > 0 && largest > 0.05 * scale { 0 } else { ITERATIONS };
+            let change = self.solved(&border, &right, tolerance, most, false)?;
             self.counts.steps += 1;
             for i in 0..n {
                 (0..3).for_each(|f| state.fields[f][i] += change[3 * i + f]);

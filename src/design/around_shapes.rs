@@ -1,0 +1,262 @@
+//! The search for better shapes with fixed particles around them: exact gradients, limits, and a cloud that is made anew.
+//!
+//! In each round the particles follow the shapes from where they were placed, by no more than a share of a shape's size;
+//! then they are placed anew, the same shapes are judged again (the jump is the error of the cloud, and is recorded),
+//! and [`super::sqp`] goes on from there.
+
+use super::sqp::{Limited, Point, Sqp};
+use crate::config::custom::Part;
+use crate::config::scene::Config;
+use crate::error::Error;
+use crate::numerics::interrupt;
+use crate::scene::around_shapes::AroundShapes;
+use std::f64::consts::PI;
+use std::time::Instant;
+
+/// One evaluated design.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Epoch {
+    pub variables: Vec<f64>,
+    /// NaN where there is no flow.
+    pub objective: f64,
+    pub gradient_norm: f64,
+    /// The largest excess of a limit, in the limit.
+    pub excess: f64,
+    pub seconds: f64,
+    /// Number of clouds that were made before.
+    pub round: usize,
+    pub failure: Option<String>,
+}
+
+/// A finished search.
+#[derive(Debug)]
+pub struct Found {
+    pub history: Vec<Epoch>,
+    pub best: usize,
+    /// The largest relative jump of the objective where particles were placed anew.
+    pub jump: f64,
+    /// Whether it ended because nothing better is near, and not for lack of epochs.
+    pub converged: bool,
+}
+
+/// How far a shape moves before particles are placed anew, in its own size; of angles in radians.
+const TRUST: f64 = 0.12;
+/// A limit that is exceeded by less counts as held.
+const HELD: f64 = 1e-3;
+/// Rounds end when the objective changes by less from one to the next.
+const SETTLED: f64 = 2e-4;
+
+/// The limits of the configuration as functions that are at most 0, or 0.
+struct Limit {
+    kind: crate::config::scene::ObjectiveKind,
+    shapes: Vec<usize>,
+    /// +1 for `at_most`, -1 for `at_least`.
+    sign: f64,
+    bound: f64,
+    is_equation: bool,
+}
+
+fn limits(config: &Config) -> Vec<Limit> {
+    let mut all = vec![];
+    for entry in &config.limits {
+        let limit = |sign: f64, bound: f64, is_equation: bool| Limit {
+            kind: entry.kind,
+            shapes: entry.shapes.clone(),
+            sign,
+            bound,
+            is_equation,
+        };
+        match (entry.at_least, entry.at_most) {
+            (Some(low), Some(high)) if low == high => all.push(limit(1.0, low, true)),
+            (low, high) => {
+                all.extend(low.map(|low| limit(-1.0, low, false)));
+                all.extend(high.map(|high| limit(1.0, high, false)));
+            }
+        }
+    }
+    all
+}
+
+/// A search of a configuration.
+pub struct Search<'a> {
+    pub config: &'a Config,
+    around: AroundShapes,
+    limits: Vec<Limit>,
+    /// The objective of the first design, in which the others are measured.
+    unit: f64,
+    lower: Vec<f64>,
+    width: Vec<f64>,
+}
+
+impl<'a> Search<'a> {
+    /// # Errors
+    /// Shapes that cannot be resolved.
+    pub fn new(config: &'a Config) -> Result<Self, Error> {
+        let around = AroundShapes::new(config)?;
+        let lower = config.variables.iter().map(|variable| variable.lower).collect();
+        let width = config.variables.iter().map(|variable| variable.upper - variable.lower).collect();
+        Ok(Self { config, around, limits: limits(config), unit: 0.0, lower, width })
+    }
+
+    /// The variables of the first design, between 0 and 1.
+    fn first(&self) -> Vec<f64> {
+        self.around
+            .first()
+            .iter()
+            .enumerate()
+            .map(|(k, x)| ((x - self.lower[k]) / self.width[k]).clamp(0.0, 1.0))
+            .collect()
+    }
+
+    fn values(&self, x: &[f64]) -> Vec<f64> {
+        x.iter().enumerate().map(|(k, x)| self.lower[k] + x * self.width[k]).collect()
+    }
+
+    /// The configuration with other numbers.
+    pub fn with(&self, variables: &[f64]) -> Config {
+        let mut config = self.config.clone();
+        for (number, x) in self.config.shape_numbers().iter().zip(variables) {
+            if let Some(it) = number.of(&mut config.shapes) {
+                *it = *x;
+            }
+        }
+        config
+    }
+
+    /// How far each variable may move in a round, in its width.
+    fn trust(&self) -> Vec<f64> {
+        let cloud = &self.around.flow.cloud;
+        let size = |shape: usize| {
+            let polygon = &cloud.places.polygons[shape];
+            let n = polygon.len();
+            let cross = |k: usize| polygon[k][0] * polygon[(k + 1) % n][1] - polygon[k][1] * polygon[(k + 1) % n][0];
+            (0.5 * (0..n).map(cross).sum::<f64>().abs() / PI).sqrt()
+        };
+        let of = |(k, &(shape, number)): (usize, &(usize, usize))| {
+            let most = match cloud.ground.outlines[shape].parts[number] {
+                Part::Angle => TRUST * 180.0 / PI,
+                _ => TRUST * size(shape),
+            };
+            most / self.width[k]
+        };
+        self.around.wanted.iter().enumerate().map(of).collect()
+    }
+
+    /// Objective, limits and their derivatives at variables between 0 and 1.
+    fn judge(&mut self, x: &[f64]) -> Result<(f64, Point), Error> {
+        let variables = self.values(x);
+        let solution = self.around.solve(&variables)?;
+        let (objective, terms) = self.around.objective(&solution);
+        if self.unit == 0.0 {
+            self.unit = objective.abs().max(f64::MIN_POSITIVE);
+        }
+        let factor = -self.around.sign() / self.unit;
+        let scaled = |gradient: Vec<f64>, factor: f64, width: &[f64]| -> Vec<f64> {
+            gradient.iter().zip(width).map(|(g, width)| factor * g * width).collect()
+        };
+        let gradient = scaled(self.around.gradient(&solution, &terms)?, factor, &self.width);
+        let mut limited = vec![];
+        for k in 0..self.limits.len() {
+            let Limit { kind, ref shapes, sign, bound, is_equation } = self.limits[k];
+            let (value, by) = match self.around.of_shapes(kind, shapes, &variables) {
+                Some(judged) => (judged.value, judged.by_variables),
+                None => {
+                    let (value, terms) = self.around.of_limit(&solution, kind, &shapes.clone());
+                    (value, self.around.gradient(&solution, &terms)?)
+                }
+            };
+            let factor = sign / bound.abs().max(1e-12);
+            limited.push(Limited {
+                value: factor * (value - bound),
+                gradient: scaled(by, factor, &self.width),
+                is_equation,
+            });
+        }
+        Ok((objective, Point { x: x.to_vec(), value: factor * objective, gradient, limits: limited }))
+    }
+
+    /// Searches for at most `epochs` evaluations; `watch` is called after each.
+    ///
+    /// # Errors
+    /// A first design that cannot be judged; [`Error::Stopped`].
+    pub fn run(&mut self, epochs: usize, watch: &mut dyn FnMut(&Epoch, usize)) -> Result<Found, Error> {
+        let mut history: Vec<Epoch> = vec![];
+        let (mut best, mut jump, mut converged) = (0, 0.0f64, false);
+        let first = self.first();
+        let bounds = |x: &[f64], trust: &[f64]| -> (Vec<f64>, Vec<f64>) {
+            let of = |sign: f64| x.iter().zip(trust).map(|(x, t)| (x + sign * t).clamp(0.0, 1.0)).collect();
+            (of(-1.0), of(1.0))
+        };
+        let (lower, upper) = bounds(&first, &self.trust());
+        let mut sqp = Sqp::new(&first, &lower, &upper);
+        let (mut round, mut of_last_round) = (0, f64::NAN);
+        while history.len() < epochs {
+            let clock = Instant::now();
+            let x = sqp.ask().to_vec();
+            let found = self.judge(&x);
+            let variables = self.values(&x);
+            let mut epoch = Epoch {
+                variables,
+                objective: f64::NAN,
+                gradient_norm: f64::NAN,
+                excess: 0.0,
+                seconds: 0.0,
+                round,
+                failure: None,
+            };
+            let point = match found {
+                Ok((objective, point)) => {
+                    let by = |k: usize| point.gradient[k] * self.unit / self.width[k];
+                    epoch.objective = objective;
+                    epoch.gradient_norm = (0..x.len()).map(|k| by(k).powi(2)).sum::<f64>().sqrt();
+                    epoch.excess = point.limits.iter().map(Limited::excess).fold(0.0, f64::max);
+                    Some(point)
+                }
+                Err(Error::Diverged { problem, .. }) if !history.is_empty() => {
+                    epoch.failure = Some(problem);
+                    None
+                }
+                Err(error) => return Err(error),
+            };
+            epoch.seconds = clock.elapsed().as_secs_f64();
+            if !of_last_round.is_nan() && history.last().is_some_and(|last| last.round < round) {
+                let there: f64 = of_last_round;
+                jump = jump.max((epoch.objective / there - 1.0).abs());
+            }
+            let sign = self.around.sign();
+            let rank = |epoch: &Epoch| {
+                let held = epoch.excess <= HELD;
+                (held, if held { sign * epoch.objective } else { -epoch.excess })
+            };
+            history.push(epoch);
+            let last = history.len() - 1;
+            let (own, other) = (rank(&history[last]), rank(&history[best]));
+            if own.0 > other.0 || (own.0 == other.0 && own.1 > other.1) {
+                best = last;
+            }
+            watch(&history[last], last);
+            interrupt::check()?;
+            sqp.tell(point);
+            if sqp.is_done() {
+                let Some(at) = sqp.best().cloned() else { break };
+                let now = at.value / self.factor();
+                if ((now - of_last_round) / self.unit).abs() < SETTLED && history[last].excess <= HELD {
+                    converged = true;
+                    break;
+                }
+                of_last_round = now;
+                // Particles are placed anew around the shapes where they are.
+                let placed = self.with(&self.values(&at.x));
+                self.around = AroundShapes::new(&placed)?;
+                round += 1;
+                let (lower, upper) = bounds(&at.x, &self.trust());
+                sqp.renew(&lower, &upper);
+            }
+        }
+        Ok(Found { history, best, jump, converged })
+    }
+
+    fn factor(&self) -> f64 {
+        -self.around.sign() / self.unit
+    }
+}
