@@ -9,6 +9,7 @@ mod a_tutorial;
 
 mod bad_input;
 mod bench;
+mod cloud;
 mod command_line;
 mod conduction;
 mod config;

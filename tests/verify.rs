@@ -269,7 +269,7 @@ fn verification(sets: &[&str]) -> Verification {
     let loaded = Config::load(None, None, &sets).unwrap();
     let (from, to) = (loaded.config.channel.hot_from, loaded.config.channel.hot_to);
     let flat = Shape::new(vec![0.5], vec![0.0], from, to).unwrap();
-    Verification { loaded, reference: flat.clone(), best: flat, reference_name: "the flat wall" }
+    Verification { loaded, reference: flat.clone(), best: flat, reference_name: "the flat wall", quick: false }
 }
 
 #[test]
@@ -326,7 +326,7 @@ fn deep_walls_of_the_standard_formulation_stay_covered() {
 
 #[test]
 fn the_least_gain_survives() {
-    let finding = |figures: Result<(f64, f64), String>| Finding { check: "a check".into(), figures };
+    let finding = |figures: Result<(f64, f64), String>| Finding { check: "a check".into(), figures, smaller: false };
     let figure = Figure::of_config(&Config::default());
     let checks = vec![finding(Ok((1.0, 1.02))), finding(Err("diverged".into())), finding(Ok((2.0, 2.01)))];
     let mut verified = Verified { figure, reference_name: "the flat wall", checks, seconds: 1.0 };

@@ -1,8 +1,8 @@
 //! The command line: one file per subcommand.
 
-mod arguments;
+pub mod arguments;
 mod around_optimize;
-pub mod around_shapes;
+mod around_shapes;
 pub mod bench;
 mod calibrate;
 mod check_gradient;

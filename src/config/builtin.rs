@@ -4,7 +4,7 @@ use crate::config::layers::{Layer, Merged, Methods};
 use crate::config::method::kind::Facts;
 use crate::config::method::METHODS;
 use crate::config::scene::{Config, Family};
-use crate::config::schema::{described, known_keys};
+use crate::config::schema::described;
 use crate::config::suggest;
 use crate::error::BadInput;
 use std::collections::BTreeMap;
@@ -31,9 +31,6 @@ struct Complete {
 static COMPLETE: LazyLock<BTreeMap<&str, Complete>> =
     LazyLock::new(|| SCENES.iter().map(|scene| (scene.name, Complete::of(scene.written))).collect());
 
-/// The keys of the sides of the box.
-const SIDES: &str = "region.sides.";
-
 impl Complete {
     fn of(written: &str) -> Self {
         let mut document: DocumentMut = format!("{written}\n{RUN}").parse().expect("a built-in scene is TOML");
@@ -49,11 +46,7 @@ impl Complete {
         let methods: Methods = values.iter().map(table).collect();
         document.insert("method", Item::Table(methods[0].1.clone()));
         let text = document.to_string();
-        let mut keys: Vec<String> = described::<Config>(&text).into_iter().map(|(path, _)| path).collect();
-        // One line describes all sides.
-        if keys.iter().any(|key| key.starts_with(SIDES)) {
-            keys.extend(known_keys::<Config>().into_iter().filter(|key| key.starts_with(SIDES)));
-        }
+        let keys = described::<Config>(&text).into_iter().map(|(path, _)| path).collect();
         Self { document, text, methods, keys }
     }
 }

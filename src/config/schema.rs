@@ -59,12 +59,12 @@ pub trait Schema: Default + Serialize + DeserializeOwned {
     }
 }
 
-/// The values of a table by their paths (`section.key`), in order.
+/// The values of a table by their paths (`section.key`), in order. A table in a section is a value.
 pub(crate) fn flatten(table: &dyn TableLike) -> Vec<(String, &Item)> {
     let mut found = Vec::new();
     for (key, item) in table.iter() {
         match item.as_table_like() {
-            Some(inner) => found.extend(flatten(inner).into_iter().map(|(rest, item)| (format!("{key}.{rest}"), item))),
+            Some(inner) => found.extend(inner.iter().map(|(rest, item)| (format!("{key}.{rest}"), item))),
             None => found.push((key.to_string(), item)),
         }
     }
@@ -80,10 +80,11 @@ pub fn values<S: Schema>(config: &S) -> Vec<(String, Value)> {
     found.filter_map(|(path, item)| Some((path, value_of(item)?))).collect()
 }
 
-/// The value of an item; an array of inline tables for `[[key]]` sections.
+/// The value of an item; an array of inline tables for `[[key]]` sections, an inline table for `[section.key]`.
 pub(crate) fn value_of(item: &Item) -> Option<Value> {
     match item {
         Item::ArrayOfTables(tables) => Some(Value::Array(tables.clone().into_array())),
+        Item::Table(table) => Some(Value::InlineTable(table.clone().into_inline_table())),
         _ => item.as_value().cloned(),
     }
 }

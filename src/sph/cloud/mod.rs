@@ -9,6 +9,7 @@
 //!
 //! Particles stay; the weights of their fits are computed once per cloud, so every figure is a smooth function of the
 //! numbers ([`particles`]).
+pub mod composed;
 pub mod deformation;
 pub mod equations;
 pub mod figures;

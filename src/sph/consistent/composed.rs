@@ -296,7 +296,7 @@ impl<'a, R: Real> Around<'a, R> {
 }
 
 /// Cholesky factor of symmetric matrices. Each entry is a tensor; the diagonal holds its inverse.
-fn factorised(matrix: Vec<Tensor>, size: usize) -> Result<Vec<Tensor>> {
+pub fn factorised(matrix: Vec<Tensor>, size: usize) -> Result<Vec<Tensor>> {
     let mut c = matrix;
     for row in 0..size {
         for column in 0..row {
@@ -315,7 +315,7 @@ fn factorised(matrix: Vec<Tensor>, size: usize) -> Result<Vec<Tensor>> {
     Ok(c)
 }
 
-fn solved(c: &[Tensor], mut b: Vec<Tensor>) -> Result<Vec<Tensor>> {
+pub fn solved(c: &[Tensor], mut b: Vec<Tensor>) -> Result<Vec<Tensor>> {
     let size = b.len();
     for row in 0..size {
         for k in 0..row {
