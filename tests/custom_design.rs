@@ -210,7 +210,7 @@ fn optimize_finds_a_better_shape() {
     let text = text
         .replace("steps = 12", "end = 0.4")
         .replace("window = 0.01", "window = 0.1")
-        .replace("segments", "differences");
+        .replace("\"segments\"", "\"differences\"\nsearch = \"scene\"");
     std::fs::write(folder.path().join("mine.toml"), format!("scene = \"custom\"\n{text}")).unwrap();
     let (done, text) =
         hydrograd(folder.path(), &["optimize", "mine.toml", "--epochs", "2", "--out", "a", "--no-verify"]);

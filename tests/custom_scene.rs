@@ -438,10 +438,26 @@ fn examples_can_be_checked_and_run() {
         assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
         text
     };
-    assert_eq!(examples().len(), 3);
+    assert_eq!(examples().len(), 7);
     for file in examples() {
         let name = file.file_stem().unwrap().to_str().unwrap();
+        let is_fixed = std::fs::read_to_string(&file).unwrap().contains("name = \"fixed\"");
         let file = file.to_str().unwrap();
+        if is_fixed {
+            let text = run(&["scenes", "check", file, "--out", name, "--threads", "1"]);
+            for part in ["particles ", "fixed: a steady flow", "run time"] {
+                assert!(text.contains(part), "{name}: no `{part}` in\n{text}");
+            }
+            let out = format!("{name}-run");
+            let text = run(&["simulate", file, "--out", &out, "--threads", "1"]);
+            assert!(text.contains("flow.png") && text.contains("drag"), "{text}");
+            for file in
+                ["flow.png", "state.h5", "config.toml", "summary.json", "report.html", "particles/particles.pvd"]
+            {
+                assert!(folder.path().join(&out).join(file).exists(), "{file}");
+            }
+            continue;
+        }
         let text = run(&["scenes", "check", file, "--out", name, "--threads", "1"]);
         for part in ["particles ", "wall of set temperature", "sound rules", "run time", "nothing looks implausible"] {
             assert!(text.contains(part), "{name}: no `{part}` in\n{text}");

@@ -24,8 +24,34 @@ lower = 0.05
 upper = 0.08
 "#;
 
+/// A steady flow around the same disc.
+const STEADY: &str = r#"
+scene = "custom"
+method.name = "fixed"
+region = { size = [0.6, 0.4], acceleration = [1.0, 0.0] }
+resolution = { dx = 0.04 }
+initial = { temperature = 1.0 }
+objective = { kind = "heat-outflow" }
+[[shapes]]
+kind = "box"
+lower = [-1.0, -0.5]
+upper = [2.0, 0.0]
+temperature = 1.0
+[[shapes]]
+kind = "disc"
+centre = [0.25, 0.2]
+radius = 0.06
+temperature = 2.0
+[[variables]]
+number = "shapes[1].radius"
+lower = 0.05
+upper = 0.08
+"#;
+
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 18] = [
+const RUNS: [(&str, &str); 20] = [
+    ("steady", "simulate steady.toml"),
+    ("improved", "optimize steady.toml --epochs 3"),
     ("channel", "simulate --set design.walls=both"),
     ("channel", "simulate heated-channel-3d --set time.steps=20 --set objective.window=0.01"),
     ("flow", "simulate taylor-green --set time.steps=20"),
@@ -56,6 +82,7 @@ fn runs_have_the_fields_of_the_page() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     std::fs::write(at.join("pin.toml"), PIN).unwrap();
+    std::fs::write(at.join("steady.toml"), STEADY).unwrap();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models").display().to_string();
     let mut written: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     let mut read = |kind: &'static str, command: &str, out: &str| {

@@ -5,8 +5,6 @@ use super::files::{self, AFTER, BEFORE};
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::warn;
 use super::{page, verify};
-use crate::config::scene::Config;
-use crate::design::around_shapes::{Epoch, Found, Search};
 use crate::design::objectives::Figure;
 use crate::design::shape::Shape;
 use crate::io::atomic::write_bytes_atomically;
@@ -19,6 +17,7 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
+use crate::scene::shape_search::{Epoch, Found, Search};
 use crate::scene::verification::{wall_settings, Verification};
 use crate::scene::warnings::Warning;
 use serde_json::{json, Value};
@@ -27,20 +26,13 @@ use std::path::Path;
 /// A jump of the objective where particles are placed anew that is worth a warning.
 const JUMP: f64 = 0.02;
 
-/// The name of the objective in tables and files.
-pub fn name_of(config: &Config) -> String {
-    match config.objective.terms.is_empty() {
-        true => Figure::of_config(config).symbol.to_lowercase(),
-        false => "objective".into(),
-    }
-}
-
+/// Searches in a folder. A search that was interrupted is made again: it takes seconds and ends at the same shapes, to the bit.
 pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> anyhow::Result<()> {
     let config = &loaded.config;
     let mut search = Search::new(config)?;
     let own = RunFolder::take(folder, "optimize", earlier)?;
     files::write_config(folder, loaded)?;
-    let name = name_of(config);
+    let name = Figure::key_of(config);
     let bar = Progress::new(config.optimise.epochs as u64, "optimize");
     let mut round = 0;
     let found = search.run(config.optimise.epochs, &mut |epoch: &Epoch, k: usize| {
@@ -84,7 +76,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
         end.with_frame(|frame| series.write(frame))?;
         records.push(around_shapes::record(at, &around, &solution, seconds));
         if frames == AFTER {
-            end.write(folder, at)?;
+            end.write(folder, &at.config, &at.text)?;
             print_figures(config, &around.summary(&solution));
         }
         fields.push(end);

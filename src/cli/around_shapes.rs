@@ -1,16 +1,17 @@
 //! `simulate` and `check-gradient` of fixed particles around shapes, whose flow is steady.
 
 use super::files::{self, write_json};
-use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
+use super::{machine, page};
 use crate::config::custom::Part;
 use crate::config::scene::Config;
 use crate::design::objectives::Figure;
-use crate::error::{BadInput, Error};
+use crate::error::Error;
 use crate::io::vtk::VtkSeries;
 use crate::numerics::interrupt;
 use crate::numerics::threads::{count, in_words};
+use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_shapes::AroundShapes;
@@ -121,7 +122,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     let own = RunFolder::take(folder, "simulate", earlier)?;
     files::write_config(folder, loaded)?;
     let end = around.fields(&solution);
-    end.write(folder, loaded)?;
+    end.write(folder, &loaded.config, &loaded.text)?;
     let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
     end.with_frame(|frame| series.write(frame))?;
     let heat = files::plot_flow_and_heat(folder, &[("steady", &end)], config.resolution.dx)?;
@@ -154,14 +155,57 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     own.finish()
 }
 
-/// Refuses to resume a steady flow, which is found anew in a moment.
-pub fn no_resume(resume: Option<&Path>) -> Result<(), BadInput> {
-    match resume {
-        None => Ok(()),
-        Some(_) => Err(BadInput::new("a steady flow of fixed particles has no part that could be resumed")
-            .place("--resume")
-            .allowed("a new run")),
+/// `hydrograd scenes check`: particles and what they cost, and what looks implausible.
+pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let clock = Instant::now();
+    let mut around = AroundShapes::new(config)?;
+    let placed = clock.elapsed().as_secs_f64();
+    let solution = around.solve(&around.first())?;
+    let seconds = clock.elapsed().as_secs_f64();
+    let _own = RunFolder::take(folder, "scenes check", Earlier::Replaced)?;
+    let fields = around.fields(&solution);
+    let (label, values) = match &fields.temperature {
+        Some(temperature) => (files::TEMPERATURE, temperature.clone()),
+        None => (files::SPEED, files::speeds(&fields)),
+    };
+    files::plot_scene(folder, ("particles", label), &[("steady", &fields)], &[values], config.resolution.dx)?;
+    let places = &around.flow.cloud.places;
+    let least = places.spacing.iter().copied().fold(f64::INFINITY, f64::min);
+    let on_walls = places.boundary.len();
+    println!("{}: scene {}, 2 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
+    println!(
+        "particles           {} in all: {} fluid, {on_walls} on walls; spacing {least:.2e} at least",
+        places.place.len(),
+        places.inside
+    );
+    println!("method              fixed: a steady flow, no steps in time");
+    println!("run time            {seconds:.2} s, of which {placed:.2} s place the particles");
+    println!(
+        "memory              {:.0} MB at the peak, {:.0} MB of factors",
+        peak_memory_bytes() as f64 / 1e6,
+        around.flow.solver.counts.bytes as f64 / 1e6
+    );
+    println!("picture             {}", folder.join("particles.png").display());
+    let mut warnings = warnings_of(&around, &solution);
+    warnings.iter_mut().for_each(|warning| warning.advice = loaded.possible(&warning.advice));
+    machine::answer(&json!({
+        "scene": config.scene,
+        "dimensions": 2,
+        "dx": config.resolution.dx,
+        "particles": { "all": places.place.len(), "kinds": { "fluid": places.inside, "on walls": on_walls } },
+        "least_spacing": least,
+        "peak_memory_bytes": peak_memory_bytes(),
+        "expected_seconds": seconds,
+        "warnings": warnings,
+        "files": machine::paths_in(folder, ["particles.png", "particles.svg"]),
+    }));
+    match warnings.len() {
+        0 => println!("\nnothing looks implausible"),
+        count => println!("\n{count} to look at:"),
     }
+    warnings.iter().for_each(|one| println!("  - {}; try {}", one.problem, one.advice));
+    Ok(())
 }
 
 /// The scene as an argument of another command.

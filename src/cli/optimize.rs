@@ -10,7 +10,7 @@ use super::optimize_starts::{check_begun, every_start, share_of_starts, StartNam
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_finished, Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
-use super::{around_optimize, around_shapes, files, optimize_compare, page, verify};
+use super::{around_optimize, files, optimize_compare, page, verify};
 use crate::config::layers::Setting;
 use crate::config::scene::{DynamicsName, Family, Trust};
 use crate::error::{BadInput, Error};
@@ -216,7 +216,6 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     }
     let searched = loaded.for_search()?;
     if searched.config.is_around_shapes() {
-        around_shapes::no_resume(resume)?;
         return around_optimize::run(&searched, &folder, earlier, !arguments.no_verify);
     }
     let begin = Begin { folder: &folder, resume, earlier, name: "", tasks: &Tasks::default() };

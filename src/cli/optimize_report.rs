@@ -145,7 +145,7 @@ pub fn report<R: Sweeps>(
     ));
     let (mut before, mut after) = (before.solver, after.solver);
     let (before, after) = (ParticleFields::of(&mut before)?, ParticleFields::of(&mut after)?);
-    after.write(folder, loaded)?;
+    after.write(folder, &loaded.config, &loaded.text)?;
     let panels = [("before", &before), ("after", &after)];
     if has_walls {
         files::plot_temperature(folder, config, &panels)?;

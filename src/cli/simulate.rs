@@ -107,8 +107,8 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     }
     RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
     if loaded.config.is_around_shapes() {
-        around_shapes::no_resume(resume)?;
-        return around_shapes::simulate(&loaded, &folder, Earlier::Replaced);
+        // It is found anew in a moment.
+        return around_shapes::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
     }
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
@@ -212,7 +212,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let history = history.rows;
     bar.finish();
     let end = ParticleFields::of(&mut solver)?;
-    end.write(folder, loaded)?;
+    end.write(folder, &loaded.config, &loaded.text)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     let each = 1e9 * seconds / (done * n) as f64;
     println!(

@@ -5,7 +5,6 @@
 //!       ^                                                                                             |
 //!   optimiser <------- pull back <---------- pull back <-------------------- gradient ----------------+
 //! ```
-pub mod around_shapes;
 pub mod checkpoint;
 pub mod cma_es;
 pub mod deformation;

@@ -12,7 +12,7 @@ use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::Plane;
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
-use crate::sph::cloud::placing::{is_inside, BoundaryPoint, Ground, Unplaceable};
+use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use serde_json::{json, Value};
@@ -36,7 +36,7 @@ struct Conditions {
     dx: f64,
     shapes: Vec<OnWall>,
     sides: [Option<(SideKind, OnWall)>; 4],
-    polygons: Vec<Vec<[f64; 2]>>,
+    polygons: Vec<Polygon>,
     reference: f64,
     /// Density times heat capacity.
     capacity: f64,
@@ -115,19 +115,7 @@ impl Surroundings for Conditions {
             return None;
         }
         let behind: [f64; 2] = std::array::from_fn(|d| place[d] - 0.25 * self.dx * point.normal[d]);
-        let steps = |d: usize| {
-            if self.plane.periodic[d] {
-                vec![0.0, -self.plane.size[d], self.plane.size[d]]
-            } else {
-                vec![0.0]
-            }
-        };
-        let images: Vec<[f64; 2]> =
-            steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect();
-        let covers = |polygon: &Vec<[f64; 2]>| {
-            images.iter().any(|image| is_inside([behind[0] + image[0], behind[1] + image[1]], polygon))
-        };
-        self.polygons.iter().rposition(covers)
+        self.polygons.iter().rposition(|polygon| polygon.covers(&self.plane, behind))
     }
 
     fn varies(&self, shape: usize) -> bool {
@@ -166,9 +154,7 @@ impl AroundShapes {
                 .map(|wall| Some((*kind, wall)))
         };
         let [left, right, bottom, top] = region.sides.all().map(side);
-        let polygon = |outline: &Outline| {
-            outline.points(&outline.samples(8), &outline.numbers).iter().map(|on| on.place).collect::<Vec<[f64; 2]>>()
-        };
+        let polygon = |outline: &Outline| Polygon::of(&outline.points(&outline.samples(8), &outline.numbers));
         let conditions = Conditions {
             plane,
             dx,

@@ -3,6 +3,7 @@
 use crate::config::custom::{functions, Kind, ShapeEntry};
 use crate::config::formula::{Formula, Function};
 use crate::error::BadInput;
+pub(super) use crate::sph::cloud::outline::is_inside;
 use crate::sph::cloud::outline::Outline;
 
 /// A shape with parsed formulas.
@@ -79,17 +80,4 @@ pub(super) fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let square = along[0] * along[0] + along[1] * along[1];
     let part = if square > 0.0 { ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
     (to[0] - part * along[0]).hypot(to[1] - part * along[1])
-}
-
-/// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
-pub(super) fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
-    let mut inside = false;
-    let mut from = points[points.len() - 1];
-    for &to in points {
-        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
-            inside = !inside;
-        }
-        from = to;
-    }
-    inside
 }

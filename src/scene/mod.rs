@@ -23,6 +23,7 @@ pub mod observers;
 pub mod particle_fields;
 pub mod plausible;
 pub mod record;
+pub mod shape_search;
 mod surface;
 pub mod tank;
 pub mod verification;

@@ -1,7 +1,7 @@
 //! A state as plain numbers, for files and plots.
 
-use super::load::Loaded;
 use crate::adjoint::RunError;
+use crate::config::scene::Config;
 use crate::io::state_file::{write_state, State};
 use crate::io::vtk::ParticleFrame;
 use crate::io::FileError;
@@ -69,8 +69,8 @@ impl ParticleFields {
         })
     }
 
-    pub fn write(&self, folder: &Path, loaded: &Loaded) -> Result<(), FileError> {
-        let config = &loaded.config;
+    /// Writes `state.h5`, with the text of the configuration.
+    pub fn write(&self, folder: &Path, config: &Config, text: &str) -> Result<(), FileError> {
         let state = State {
             dimension: self.dimension,
             position: self.position.clone(),
@@ -84,7 +84,7 @@ impl ParticleFields {
             step: self.step as u64,
             box_size: self.box_size.clone(),
             dx: config.resolution.dx,
-            configuration: loaded.text.clone(),
+            configuration: text.into(),
             version: env!("CARGO_PKG_VERSION").into(),
             seed: config.run.seed,
         };

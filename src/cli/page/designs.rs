@@ -4,7 +4,6 @@ use super::folder::{column, figure, percent, warnings, Columns, Folder};
 use super::leads::{number, text};
 use super::names::rounded;
 use super::{series, tables};
-use crate::cli::around_optimize::name_of;
 use crate::cli::explain::plan_of;
 use crate::cli::files::{read_config, AFTER, BEFORE, CHECKPOINT};
 use crate::config::scene::{Config, Family, GradientMode};
@@ -90,7 +89,7 @@ pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
 
 /// The page of a search with fixed particles around shapes.
 fn around_shapes(folder: &Folder, config: &Config, summary: &Record, mut page: Page) -> Page {
-    let name = name_of(config);
+    let name = Figure::key_of(config);
     let number = |key: &str| summary.number(key);
     let (Some(first), Some(best)) = (number(&format!("{name}_first")), number(&name)) else {
         page.lead = "This search has no result yet.".into();

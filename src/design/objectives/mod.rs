@@ -119,6 +119,14 @@ pub struct Figure {
 }
 
 impl Figure {
+    /// The name of a configuration's objective in files.
+    pub fn key_of(config: &Config) -> String {
+        match config.objective.terms.is_empty() {
+            true => Self::of_config(config).symbol.to_lowercase(),
+            false => "objective".into(),
+        }
+    }
+
     /// The figure of a configuration's objective.
     pub fn of_config(config: &Config) -> Self {
         let (name, symbol, quantity, unit) = match config.objective.kind {

@@ -155,7 +155,7 @@ impl Measures {
                 if cloud.ground.is_in_wall(&places.polygons, p, None).is_some() {
                     continue;
                 }
-                if let Some((_, particle)) = near.one(p) {
+                if let Some((_, particle)) = near.one(p, 2.0 * cloud.ground.dx) {
                     let r = plane.between(places.place[particle], p);
                     let own = places.place[particle];
                     section.push(Sample { particle, place: [own[0] + r[0], own[1] + r[1]], weight: 0.5 * step });

@@ -21,6 +21,12 @@ impl Plane {
         })
     }
 
+    /// The offsets of periodic images next to the box, itself among them.
+    pub fn images(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let steps = |d: usize| if self.periodic[d] { -1..=1 } else { 0..=0 };
+        steps(0).flat_map(move |i| steps(1).map(move |j| [f64::from(i) * self.size[0], f64::from(j) * self.size[1]]))
+    }
+
     pub fn distance(&self, a: [f64; 2], b: [f64; 2]) -> f64 {
         let [x, y] = self.between(a, b);
         (x * x + y * y).sqrt()
@@ -115,6 +121,11 @@ impl Nearest {
 
     /// The nearest `count` places that `wanted` accepts, with their distances, nearest first; equally near ones by number.
     pub fn of(&self, p: [f64; 2], count: usize, wanted: impl Fn(usize, f64) -> bool) -> Vec<(f64, u32)> {
+        self.within(p, count, f64::INFINITY, wanted)
+    }
+
+    /// Those of [`Self::of`] that are at most `most` away.
+    fn within(&self, p: [f64; 2], count: usize, most: f64, wanted: impl Fn(usize, f64) -> bool) -> Vec<(f64, u32)> {
         let width = (0..2).map(|d| self.plane.size[d] / self.counts[d] as f64).fold(f64::MAX, f64::min);
         let centre = self.index(p);
         let mut chosen: Vec<(f64, u32)> = Vec::with_capacity(count);
@@ -132,24 +143,24 @@ impl Nearest {
             waiting.retain(|(distance, _)| *distance > certain);
             ready.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             for (distance, i) in ready {
-                if chosen.len() < count && wanted(i as usize, distance) {
+                if chosen.len() < count && distance <= most && wanted(i as usize, distance) {
                     chosen.push((distance, i));
                 }
             }
-            if !any || chosen.len() >= count {
+            if !any || chosen.len() >= count || certain > most {
                 break;
             }
         }
         chosen
     }
 
-    /// The distance from the nearest place.
-    pub fn distance(&self, p: [f64; 2]) -> f64 {
-        self.of(p, 1, |_, _| true).first().map_or(f64::INFINITY, |found| found.0)
+    /// The distance from the nearest place, infinite if it is more than `most`.
+    pub fn distance(&self, p: [f64; 2], most: f64) -> f64 {
+        self.one(p, most).map_or(f64::INFINITY, |found| found.0)
     }
 
-    /// The nearest place, if there is one.
-    pub fn one(&self, p: [f64; 2]) -> Option<(f64, usize)> {
-        self.of(p, 1, |_, _| true).first().map(|&(distance, i)| (distance, i as usize))
+    /// The nearest place, if it is at most `most` away.
+    pub fn one(&self, p: [f64; 2], most: f64) -> Option<(f64, usize)> {
+        self.within(p, 1, most, |_, _| true).first().map(|&(distance, i)| (distance, i as usize))
     }
 }

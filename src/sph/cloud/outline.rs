@@ -454,6 +454,19 @@ impl Outline {
     }
 }
 
+/// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
+pub fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
+    let mut inside = false;
+    let mut from = points[points.len() - 1];
+    for &to in points {
+        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
+            inside = !inside;
+        }
+        from = to;
+    }
+    inside
+}
+
 /// Area inside of a closed line of points, positive if it runs counter-clockwise.
 pub fn area(points: &[OnOutline<f64>]) -> f64 {
     let n = points.len();

@@ -4,7 +4,7 @@ use super::deformation::Deformation;
 use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Operators, Warmth};
 use super::fit::Stencils;
 use super::nearest::{Nearest, Plane};
-use super::placing::{is_inside, BoundaryPoint, Ground, Places, Unplaceable};
+use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
 use std::fmt::Debug;
 
 /// Neighbours of the fits of velocity and pressure, and of the temperature. (Measured in the channel of ten shapes, dx =
@@ -90,6 +90,8 @@ struct Sight<'a> {
     distance: Vec<f64>,
 }
 
+/// Particles farther than this from bodies, in dx, are hidden from nobody.
+const HIDES: f64 = 6.0;
 /// Points on bodies around the middle of a segment whose edges it may cross.
 const EDGES: usize = 12;
 
@@ -114,7 +116,7 @@ impl<'a> Sight<'a> {
         let points = Nearest::new(ground.plane, ground.dx, &on_bodies);
         let distance = match boundary.is_empty() {
             true => vec![f64::INFINITY; places.place.len()],
-            false => places.place.iter().map(|p| points.distance(*p)).collect(),
+            false => places.place.iter().map(|p| points.distance(*p, HIDES * ground.dx)).collect(),
         };
         Self { plane: ground.plane, places, points, boundary, distance }
     }
@@ -160,7 +162,7 @@ impl<'a> Sight<'a> {
             // The polygon is not wrapped.
             let own = places.polygons[body].first().copied().unwrap_or(middle);
             let step = self.plane.between(own, middle);
-            if out < -0.5 && is_inside([own[0] + step[0], own[1] + step[1]], &places.polygons[body]) {
+            if out < -0.5 && places.polygons[body].contains([own[0] + step[0], own[1] + step[1]]) {
                 return false;
             }
         }

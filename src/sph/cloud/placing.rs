@@ -10,7 +10,7 @@
 //! ```
 
 use super::nearest::{Nearest, Plane};
-use super::outline::{area, OnOutline, Outline};
+use super::outline::{area, is_inside, OnOutline, Outline};
 
 /// What the cloud is made of: outlines of bodies and walls in a box.
 #[derive(Debug, Clone)]
@@ -51,7 +51,7 @@ pub struct Places {
     /// Shapes of which a part of the outline is in the fluid.
     pub touching: Vec<usize>,
     /// Polygons of the outlines, fine, for tests of what is inside.
-    pub polygons: Vec<Vec<[f64; 2]>>,
+    pub polygons: Vec<Polygon>,
     /// Lower and upper corner of the fluid.
     pub corners: [[f64; 2]; 2],
 }
@@ -70,22 +70,48 @@ pub enum Unplaceable {
 const GROWTH: f64 = 0.25;
 const LAYERS: usize = 2;
 const RELAXATIONS: usize = 30;
+/// Farther from surfaces, in dx, there are neither layers nor displaced points.
+const FAR: f64 = 12.0;
 /// Smallest spacing on a surface, in the usual one.
 const FINEST: f64 = 0.4;
 /// Spacing on a surface in its radius of curvature.
 const PER_RADIUS: f64 = 0.55;
 
-/// Whether a point is inside a closed line.
-pub fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
-    let mut inside = false;
-    let Some(mut from) = points.last().copied() else { return false };
-    for &to in points {
-        if (from[1] > y) != (to[1] > y) && x < from[0] + (y - from[1]) / (to[1] - from[1]) * (to[0] - from[0]) {
-            inside = !inside;
-        }
-        from = to;
+/// The inside of a closed line of points, with the box around it.
+#[derive(Debug, Clone)]
+pub struct Polygon {
+    points: Vec<[f64; 2]>,
+    low: [f64; 2],
+    high: [f64; 2],
+}
+
+impl std::ops::Deref for Polygon {
+    type Target = [[f64; 2]];
+
+    fn deref(&self) -> &Self::Target {
+        &self.points
     }
-    inside
+}
+
+impl Polygon {
+    /// An outline as points that are close to each other.
+    pub fn of(points: &[OnOutline<f64>]) -> Self {
+        let points: Vec<[f64; 2]> = points.iter().map(|point| point.place).collect();
+        let low = std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(f64::INFINITY, f64::min));
+        let high = std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(f64::NEG_INFINITY, f64::max));
+        Self { points, low, high }
+    }
+
+    /// Whether a point is inside.
+    pub fn contains(&self, p: [f64; 2]) -> bool {
+        let may = (0..2).all(|d| p[d] >= self.low[d] && p[d] <= self.high[d]);
+        may && is_inside(p, &self.points)
+    }
+
+    /// Whether a point or a periodic image of it is inside.
+    pub fn covers(&self, plane: &Plane, p: [f64; 2]) -> bool {
+        plane.images().any(|image| self.contains([p[0] + image[0], p[1] + image[1]]))
+    }
 }
 
 fn outward(along: [f64; 2]) -> [f64; 2] {
@@ -94,25 +120,9 @@ fn outward(along: [f64; 2]) -> [f64; 2] {
 }
 
 impl Ground {
-    /// Offsets of periodic images that reach into the box.
-    fn images(&self) -> Vec<[f64; 2]> {
-        let steps = |d: usize| {
-            if self.plane.periodic[d] {
-                vec![0.0, -self.plane.size[d], self.plane.size[d]]
-            } else {
-                vec![0.0]
-            }
-        };
-        steps(0).into_iter().flat_map(|x| steps(1).into_iter().map(move |y| [x, y])).collect()
-    }
-
     /// Whether a place, or an image of it, is inside any polygon but that of `except`.
-    pub fn is_in_wall(&self, polygons: &[Vec<[f64; 2]>], p: [f64; 2], except: Option<usize>) -> Option<usize> {
-        let images = self.images();
-        (0..polygons.len())
-            .rev()
-            .filter(|&k| Some(k) != except)
-            .find(|&k| images.iter().any(|image| is_inside([p[0] + image[0], p[1] + image[1]], &polygons[k])))
+    pub fn is_in_wall(&self, polygons: &[Polygon], p: [f64; 2], except: Option<usize>) -> Option<usize> {
+        (0..polygons.len()).rev().filter(|&k| Some(k) != except).find(|&k| polygons[k].covers(&self.plane, p))
     }
 
     fn is_in_box(&self, p: [f64; 2]) -> bool {
@@ -134,8 +144,7 @@ impl Ground {
                 (samples, points)
             })
             .collect();
-        let polygons: Vec<Vec<[f64; 2]>> =
-            fine.iter().map(|(_, points)| points.iter().map(|point| point.place).collect()).collect();
+        let polygons: Vec<Polygon> = fine.iter().map(|(_, points)| Polygon::of(points)).collect();
         let mut places = Places {
             place: vec![],
             spacing: vec![],
@@ -244,11 +253,11 @@ impl Ground {
                 continue;
             }
             let p = plane.wrapped(p);
-            let off_wall = match to_walls.one(p) {
+            let off_wall = match to_walls.one(p, dx) {
                 Some((far, i)) if surface[i].0.side.is_some() || surface[i].2 > 0.99 * dx => far > 0.6 * h,
                 _ => true,
             };
-            if off_wall && to_samples.distance(p) > 0.9 * distance && !cells.has_within(p, 0.6 * h) {
+            if off_wall && to_samples.distance(p, distance) > 0.9 * distance && !cells.has_within(p, 0.6 * h) {
                 cells.add(p);
                 kept.push((p, h));
             }
@@ -256,15 +265,17 @@ impl Ground {
         let layered: Vec<[f64; 2]> = kept.iter().map(|(p, _)| *p).collect();
         let to_layers = Nearest::new(plane, dx, &layered);
         for p in self.lattice(&places.corners) {
-            if !self.is_in_box(p) || self.is_in_wall(&polygons, p, None).is_some() || to_walls.distance(p) <= 0.75 * dx
+            if !self.is_in_box(p)
+                || self.is_in_wall(&polygons, p, None).is_some()
+                || to_walls.distance(p, dx) <= 0.75 * dx
             {
                 continue;
             }
-            let beyond = match to_samples.one(p) {
+            let beyond = match to_samples.one(p, FAR * dx) {
                 Some((distance, i)) => distance > near[i].1 - 0.95 * dx,
                 None => true,
             };
-            if beyond && to_layers.distance(p) > 0.75 * dx {
+            if beyond && to_layers.distance(p, dx) > 0.75 * dx {
                 kept.push((p, dx));
             }
         }
@@ -281,10 +292,10 @@ impl Ground {
         let moves: Vec<bool> = kept
             .iter()
             .map(|(p, _)| {
-                let by_body = to_samples.one(*p).is_some_and(|(distance, i)| distance < near[i].1 + 2.0 * dx);
+                let by_body = to_samples.one(*p, FAR * dx).is_some_and(|(distance, i)| distance < near[i].1 + 2.0 * dx);
                 by_body
                     || to_walls
-                        .one(*p)
+                        .one(*p, 2.0 * dx)
                         .is_some_and(|(distance, _)| distance < 1.6 * dx && (distance / dx - 1.0).abs() > 0.01)
             })
             .collect();
@@ -444,12 +455,7 @@ impl Ground {
     }
 
     /// Points on those sides of the box that the fluid reaches.
-    fn sides(
-        &self,
-        polygons: &[Vec<[f64; 2]>],
-        corners: &[[f64; 2]; 2],
-        surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>,
-    ) {
+    fn sides(&self, polygons: &[Polygon], corners: &[[f64; 2]; 2], surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>) {
         let Plane { size, periodic } = self.plane;
         let cells = self.cells(corners);
         for d in 0..2 {

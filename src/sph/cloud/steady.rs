@@ -14,6 +14,7 @@
 use super::equations::{Derivatives, Equations, Motion, Operators, State};
 use crate::numerics::krylov::gmres;
 use crate::numerics::sparse_lu::{dot, BlockMatrix, Order, Singular, SparseLu};
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 /// Why there is no steady state.
@@ -97,9 +98,9 @@ struct Factors {
     /// The matrix that was factorised, for refinement.
     matrix: BlockMatrix,
     border: Border,
-    /// A^-1 B and A^-T C^T.
+    /// A^-1 B, and A^-T C^T, which only adjoints need.
     columns: Vec<Vec<f64>>,
-    rows: Vec<Vec<f64>>,
+    rows: OnceCell<Vec<Vec<f64>>>,
 }
 
 /// Solves a small dense system.
@@ -134,9 +135,8 @@ impl Factors {
             matrix.block_mut(entry)[8] += 1.0;
         }
         let lu = SparseLu::new(order, &matrix, threads)?;
-        let mut factors = Self { lu, matrix, border: border.clone(), columns: vec![], rows: vec![] };
+        let mut factors = Self { lu, matrix, border: border.clone(), columns: vec![], rows: OnceCell::new() };
         factors.columns = border.columns.iter().map(|column| factors.inner(column, false, true)).collect();
-        factors.rows = border.rows.iter().map(|row| factors.inner(row, true, true)).collect();
         Ok(factors)
     }
 
@@ -152,6 +152,10 @@ impl Factors {
         x
     }
 
+    fn rows(&self) -> &Vec<Vec<f64>> {
+        self.rows.get_or_init(|| self.border.rows.iter().map(|row| self.inner(row, true, true)).collect())
+    }
+
     /// The solution of the bordered system, or of its transpose: `[3 N + m]`.
     fn solve(&self, right: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
         let border = &self.border;
@@ -161,7 +165,7 @@ impl Factors {
         // In A^T, what is a column is a row; the pinned pressure is 0 or g either way.
         let (against, solved, pinned) = match transposed {
             false => (&border.rows, &self.columns, border.pins),
-            true => (&border.columns, &self.rows, false),
+            true => (&border.columns, self.rows(), false),
         };
         if pinned {
             r[PIN] += g[0];
@@ -323,6 +327,8 @@ impl Solver {
         held: Option<(&Held, &dyn FlowRate)>,
     ) -> Result<(), NoSteadyState> {
         let n = self.equations.particles();
+        // The first factors are those of a flow at rest, which are of no use for the next step.
+        let is_cold = self.factors.is_none();
         let mut scale = 0.0;
         let mut last = f64::INFINITY;
         for step in 0..STEPS {
@@ -346,8 +352,7 @@ impl Solver {
             let border = self.border(state, &d, operators, held);
             let right: Vec<f64> = residual.iter().map(|x| -x).collect();
             let tolerance = (1e-2 * largest / scale).clamp(1e-6, 1e-3);
-            // Far from a solution the last factors are of no use.
-            let most = if step > 0 && largest > 0.05 * scale { 0 } else { ITERATIONS };
+            let most = if is_cold && step == 1 { 0 } else { ITERATIONS };
             let change = self.solved(&border, &right, tolerance, most, false)?;
             self.counts.steps += 1;
             for i in 0..n {

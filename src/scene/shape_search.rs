@@ -2,14 +2,14 @@
 //!
 //! In each round the particles follow the shapes from where they were placed, by no more than a share of a shape's size;
 //! then they are placed anew, the same shapes are judged again (the jump is the error of the cloud, and is recorded),
-//! and [`super::sqp`] goes on from there.
+//! and [`crate::design::sqp`] goes on from there.
 
-use super::sqp::{Limited, Point, Sqp};
+use super::around_shapes::AroundShapes;
 use crate::config::custom::Part;
 use crate::config::scene::Config;
+use crate::design::sqp::{Limited, Point, Sqp};
 use crate::error::Error;
 use crate::numerics::interrupt;
-use crate::scene::around_shapes::AroundShapes;
 use std::f64::consts::PI;
 use std::time::Instant;
 
