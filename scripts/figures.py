@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse; summary writes the
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around; summary writes the
 fields of summary.json from data/summary.toml; busy is busy.py. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate. `pictures` and `pictures-slow` make the pictures (pictures.py).
@@ -437,6 +437,73 @@ def surrogate_inverse():
                       f"{model[1]:.4f}, and the true start ends {model[2]:.4f} away."])
 
 
+BODIES = os.path.join(ROOT, "data/reference/bodies-in-channel.csv")
+CHANNEL = """scene = "custom"
+region = { size = [1.0, 0.4], periodic = [true, false], acceleration = [1.0, 0.0] }
+fluid = { viscosity = 0.006, conductivity = 0.006, inlet_temperature = 0.0 }
+initial.temperature = 0.0
+method.name = "fixed"
+[[shapes]]
+kind = "box"
+lower = [-1.0, -0.2]
+upper = [2.0, 0.0]
+temperature = 0.0
+[[shapes]]
+kind = "box"
+lower = [-1.0, 0.4]
+upper = [2.0, 0.6]
+temperature = 0.0
+"""
+
+
+def cloud():
+    """Fixed particles around bodies beside finite elements: errors, particles, seconds."""
+    with open(BODIES) as file:
+        reference = list(csv.DictReader(file))
+    rows = []
+    os.makedirs(OUT, exist_ok=True)
+    for name in dict.fromkeys(row["geometry"] for row in reference):
+        bodies = [row for row in reference if row["geometry"] == name]
+        text = CHANNEL
+        for body in bodies:
+            s = [float(x) for x in body["numbers"].split()]
+            own = {"disc": f"radius = {s[2]}", "ellipse": f"axes = {s[2:4]}\nangle = {s[-1]}", "spline": f"radii = {s[2:]}"}[body["kind"]]
+            text += f'[[shapes]]\nkind = "{body["kind"]}"\ncentre = {s[:2]}\n{own}\ntemperature = 1.0\n'
+        scene = os.path.join(OUT, f"cloud-{name}.toml")
+        with open(scene, "w") as file:
+            file.write(text)
+        total = lambda key: sum(float(body[key]) for body in bodies)
+        row = [name]
+        for dx in (0.02, 0.01):
+            s = load(run(f"cloud-{name}", "simulate", scene, *sets(resolution__dx=dx)))
+            found = s["shapes"][2:]
+            row += [f"{s['particles']}", percent(s["flow_rate"], float(bodies[0]["flow_rate"]))[:-2], percent(sum(f["force"][0] for f in found), total("force_x"))[:-2],
+                    percent(sum(f["heat"] for f in found), total("heat"))[:-2], f"{s['wall_seconds']:.2f}"]
+        rows.append(row)
+    return table(["geometry", "dx 0.02: particles", "flow", "drag", "heat", "s", "dx 0.01: particles", "flow", "drag", "heat", "s"], rows)
+
+
+def around():
+    """The four examples with fixed particles: what a search finds, and what finite elements say of it (python3 with their packages: FEM_PYTHON)."""
+    rows = []
+    for name in ("heated-cylinder", "least-drag", "three-pins", "airfoil"):
+        clock = time.monotonic()
+        folder = run(f"around-{name}", "optimize", f"data/scenes/examples/{name}.toml")
+        seconds = time.monotonic() - clock
+        s = load(folder)
+        key = next(key[:-6] for key in s if key.endswith("_first"))
+        command = [os.environ.get("FEM_PYTHON", "python3"), os.path.join(ROOT, "scripts/bodies_fem.py"), folder]
+        lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+        values = []
+        for line in lines:
+            found = json.loads(line.split(" ", 1)[1])["shapes"]
+            drag, lift = (sum(f["force"][k] for f in found) for k in (0, 1))
+            values.append({"drag": drag, "lift_over_drag": lift / drag}.get(key) or sum(f.get("heat", 0) for f in found))
+        rows.append([name, key, len(s["variables"]), f"{s[key + '_first']:.5f}", f"{s[key]:.5f}", percent(s[key], s[key + "_first"]), f"{100 * s['gain_survives']:+.2f} %",
+                     f"{values[0]:.5f}", f"{values[1]:.5f}", percent(values[1], values[0]), f"{sum(s['seconds_per_epoch']):.1f}, {seconds:.1f}"])
+    return table(["example", "objective", "numbers", "first", "best", "change", "survives", "finite elements: first", "best", "change", "seconds of search, of the command"], rows)
+
+
 def busy():
     """Threads on a machine that others use too."""
     from busy import report
@@ -456,7 +523,7 @@ def summary():
 
 
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, summary, busy)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, around, summary, busy)
 PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

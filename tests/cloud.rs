@@ -447,6 +447,7 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
         &(base.clone() + "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.2]\nradius = 0.002\n"),
         &["shapes[2]", "thin", "resolution.dx="],
     );
+    refuses(&(base.clone() + &shape("disc", &[0.5, 0.9, 0.05])), &["shapes[2]", "outside of the box"]);
     let near = shape("disc", &[0.4, 0.2, 0.08]) + &shape("disc", &[0.565, 0.2, 0.08]);
     refuses(&(base.clone() + &near), &["shapes[2]", "near", "resolution.dx="]);
     refuses(&channel(0.03, "region.inlet_until = 0.1"), &["region.inlet_until", "region.sides"]);

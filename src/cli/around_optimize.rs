@@ -123,7 +123,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
 
 /// Adds what a search has beside the figures of its best design.
 fn put_search(record: &mut Record, loaded: &Loaded, found: &Found, name: &str, before: Record) {
-    let (config, Found { history, best, jump, converged }) = (&loaded.config, found);
+    let (config, Found { history, best, jump, converged, .. }) = (&loaded.config, found);
     let column = |of: fn(&Epoch) -> f64| history.iter().map(of).collect::<Vec<f64>>();
     record.put(&format!("{name}_first"), before.number("objective"));
     let value = record.number("objective");
@@ -154,6 +154,15 @@ fn put_search(record: &mut Record, loaded: &Loaded, found: &Found, name: &str, b
             limit: Some(0.0),
             problem: format!("in {} epochs nothing was found that is better than the first design", history.len()),
             advice: "another start".into(),
+        });
+    }
+    if let Some(why) = &found.stopped {
+        warnings.push(Warning {
+            code: "stopped".into(),
+            value: None,
+            limit: None,
+            problem: format!("the search ended where particles cannot be placed: {}", why.lines().next().unwrap_or_default()),
+            advice: "[[limits]] with kind = \"distance\", or narrower limits of the variables".into(),
         });
     }
     if *jump > JUMP {

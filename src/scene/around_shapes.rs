@@ -198,6 +198,12 @@ impl AroundShapes {
             }
         }
         let flow = SteadyFlow::new(cloud, held, None, threads).map_err(|why| unusable(config, &why))?;
+        if let Some(k) = (0..config.shapes.len()).find(|&k| !flow.measures.is_seen(k)) {
+            let problem = format!("shapes[{k}] has no surface in the fluid: it is outside of the box, or inside of other shapes");
+            return Err(BadInput::at(format!("shapes[{k}]"), problem)
+                .allowed("shapes in the box, and shapes behind its sides, which give these their temperature or velocity")
+                .into());
+        }
         Ok(Self { flow, config: config.clone(), wanted })
     }
 

@@ -177,7 +177,7 @@ impl Loaded {
             Error::Diverged { problem, advice, offence } => {
                 let (bad, load) = (BadInput::new(problem.as_str()), |settings: &[Setting]| self.with(settings));
                 let mut advice = changed(&self.possible(&advice), |one, sets| completed(one, sets, &bad, &load));
-                if assignments(&advice).is_empty() {
+                if assignments(&advice).is_empty() && !self.config.is_around_shapes() {
                     let half = format!("time.step={:.2e}", 0.5 * self.config.time_step());
                     advice = if advice.is_empty() { half } else { format!("{half}, or {advice}") };
                 }

@@ -37,6 +37,8 @@ pub struct Found {
     pub jump: f64,
     /// Whether it ended because nothing better is near, and not for lack of epochs.
     pub converged: bool,
+    /// Why particles could not be placed around the shapes that were found, where the search had to end.
+    pub stopped: Option<String>,
 }
 
 /// How far a shape moves before particles are placed anew, in its own size; of angles in radians.
@@ -109,7 +111,11 @@ impl<'a> Search<'a> {
     }
 
     fn values(&self, x: &[f64]) -> Vec<f64> {
-        x.iter().enumerate().map(|(k, x)| self.lower[k] + x * self.width[k]).collect()
+        let value = |(k, x): (usize, &f64)| {
+            // Rounding must not lead out of the limits.
+            (self.lower[k] + x * self.width[k]).clamp(self.lower[k], self.config.variables[k].upper)
+        };
+        x.iter().enumerate().map(value).collect()
     }
 
     /// The configuration with other numbers.
@@ -189,7 +195,7 @@ impl<'a> Search<'a> {
         };
         let (lower, upper) = bounds(&first, &self.trust());
         let mut sqp = Sqp::new(&first, &lower, &upper);
-        let (mut round, mut of_last_round) = (0, f64::NAN);
+        let (mut round, mut of_last_round, mut stopped) = (0, f64::NAN, None);
         while history.len() < epochs {
             let clock = Instant::now();
             let x = sqp.ask().to_vec();
@@ -247,13 +253,19 @@ impl<'a> Search<'a> {
                 of_last_round = now;
                 // Particles are placed anew around the shapes where they are.
                 let placed = self.with(&self.values(&at.x));
-                self.around = AroundShapes::new(&placed)?;
+                match AroundShapes::new(&placed) {
+                    Ok(around) => self.around = around,
+                    Err(error) => {
+                        stopped = Some(error.to_string());
+                        break;
+                    }
+                }
                 round += 1;
                 let (lower, upper) = bounds(&at.x, &self.trust());
                 sqp.renew(&lower, &upper);
             }
         }
-        Ok(Found { history, best, jump, converged })
+        Ok(Found { history, best, jump, converged, stopped })
     }
 
     fn factor(&self) -> f64 {

@@ -167,6 +167,11 @@ impl Measures {
         Self { section, section_at, points, rest, share, centre, centre_numbers, inside, base_area, size, periodic_x }
     }
 
+    /// Whether a shape has a point on the boundary of the fluid.
+    pub fn is_seen(&self, shape: usize) -> bool {
+        !self.points[shape].is_empty()
+    }
+
     /// The Taylor polynomial's monomials from a sample's particle to its place.
     fn monomials(sample: &Sample, position: &[Vec<f64>; 2]) -> [f64; 5] {
         let [x, y]: [f64; 2] = std::array::from_fn(|d| sample.place[d] - position[d][sample.particle]);

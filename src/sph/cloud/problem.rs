@@ -62,11 +62,13 @@ impl SteadyFlow {
         let shaped = self.cloud.shaped(numbers)?;
         self.solver.equations.conditions = shaped.conditions.clone();
         let mut state = self.last.clone().unwrap_or_else(|| State::at_rest(self.cloud.particles()));
+        self.begin_drive(&shaped, &mut state)?;
         let mut found = self.settle(&shaped, &mut state);
         if found.is_err() {
             // From rest, with a viscosity that becomes smaller.
             let own = self.solver.equations.viscosity;
             state = State::at_rest(self.cloud.particles());
+            self.begin_drive(&shaped, &mut state)?;
             for factor in CONTINUATION {
                 self.solver.equations.viscosity = factor * own;
                 self.solver.forget();
@@ -81,6 +83,19 @@ impl SteadyFlow {
         self.last = Some(state.clone());
         let derivatives = self.solver.equations.derivatives(&shaped.operators, &state, true);
         Ok(Solution { shaped, state, derivatives })
+    }
+
+    /// A flow at rest takes no power, so it gets the force that a plane channel would need, and its flow.
+    fn begin_drive(&mut self, shaped: &Shaped, state: &mut State) -> Result<(), NoSteadyState> {
+        let Some(Held::Power { power, length }) = self.held.clone() else { return Ok(()) };
+        if state.drive != 0.0 {
+            return Ok(());
+        }
+        let [low, high] = self.cloud.places.corners;
+        let width = high[1] - low[1];
+        let push = (12.0 * self.solver.equations.viscosity * power / (length * width.powi(3))).sqrt();
+        state.drive = push - self.solver.equations.force[0];
+        self.solver.settle(&shaped.operators, state, None)
     }
 
     fn settle(&mut self, shaped: &Shaped, state: &mut State) -> Result<(), NoSteadyState> {
