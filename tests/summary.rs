@@ -49,8 +49,9 @@ upper = 0.08
 "#;
 
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 20] = [
+const RUNS: [(&str, &str); 21] = [
     ("steady", "simulate steady.toml"),
+    ("steady", "simulate steady.toml --set fluid.viscosity=0.002"),
     ("improved", "optimize steady.toml --epochs 3"),
     ("channel", "simulate --set design.walls=both"),
     ("channel", "simulate heated-channel-3d --set time.steps=20 --set objective.window=0.01"),

@@ -161,7 +161,10 @@ fn put_search(record: &mut Record, loaded: &Loaded, found: &Found, name: &str, b
             code: "stopped".into(),
             value: None,
             limit: None,
-            problem: format!("the search ended where particles cannot be placed: {}", why.lines().next().unwrap_or_default()),
+            problem: format!(
+                "the search ended where particles cannot be placed: {}",
+                why.lines().next().unwrap_or_default()
+            ),
             advice: "[[limits]] with kind = \"distance\", or narrower limits of the variables".into(),
         });
     }

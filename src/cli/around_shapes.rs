@@ -20,6 +20,7 @@ use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
 use crate::sph::cloud::problem::Solution;
 use serde_json::{json, Value};
+use std::f64::consts::PI;
 use std::path::Path;
 use std::time::Instant;
 
@@ -143,7 +144,8 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     end.with_frame(|frame| series.write(frame))?;
     let heat = files::plot_flow_and_heat(folder, &[("steady", &end)], config.resolution.dx)?;
     let figures = around.summary(&solution);
-    let record = record(loaded, &around, &solution, seconds);
+    let mut record = record(loaded, &around, &solution, seconds);
+    put_growth(&mut record, loaded, &mut around, &solution)?;
     files::write_summary(folder, &record)?;
     let counts = around.flow.solver.counts;
     println!(
@@ -238,6 +240,33 @@ pub fn goal(config: &Config) -> &'static str {
         crate::config::scene::Goal::Larger => "larger",
         crate::config::scene::Goal::Smaller => "smaller",
     }
+}
+
+/// Says whether a real flow would leave this steady state.
+fn put_growth(
+    record: &mut Record,
+    loaded: &Loaded,
+    around: &mut AroundShapes,
+    solution: &Solution,
+) -> Result<(), Error> {
+    let Some((growth, frequency)) = around.growth(solution, fastest(solution))? else { return Ok(()) };
+    record.put("growth_rate", growth);
+    record.put("growth_frequency", frequency / (2.0 * PI));
+    if growth > 0.0 {
+        let mut warnings = record.warnings();
+        warnings.push(Warning {
+            code: "unstable".into(),
+            value: Some(growth),
+            limit: Some(0.0),
+            problem: format!(
+                "the flow is steady but unstable: disturbances grow at a rate of {growth:.2e}; a real flow would oscillate, with a frequency of about {:.2e}",
+                frequency / (2.0 * PI)
+            ),
+            advice: format!("fluid.viscosity={}, or a smaller body", 2.0 * loaded.config.fluid.viscosity),
+        });
+        record.put_warnings(loaded, warnings);
+    }
+    Ok(())
 }
 
 /// The summary of a steady flow.

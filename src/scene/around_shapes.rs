@@ -16,8 +16,12 @@ use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use serde_json::{json, Value};
+use std::f64::consts::PI;
 use std::sync::Arc;
 
+/// Flows around bodies are stable below this Reynolds number by the fastest particle. (Vortices begin behind a cylinder at 46 by the
+/// stream far away, which is slower.)
+const STABLE: f64 = 40.0;
 /// Corners are rounded to this radius, in spacings of the surface.
 const ROUNDED: f64 = 1.0;
 
@@ -199,9 +203,12 @@ impl AroundShapes {
         }
         let flow = SteadyFlow::new(cloud, held, None, threads).map_err(|why| unusable(config, &why))?;
         if let Some(k) = (0..config.shapes.len()).find(|&k| !flow.measures.is_seen(k)) {
-            let problem = format!("shapes[{k}] has no surface in the fluid: it is outside of the box, or inside of other shapes");
+            let problem =
+                format!("shapes[{k}] has no surface in the fluid: it is outside of the box, or inside of other shapes");
             return Err(BadInput::at(format!("shapes[{k}]"), problem)
-                .allowed("shapes in the box, and shapes behind its sides, which give these their temperature or velocity")
+                .allowed(
+                    "shapes in the box, and shapes behind its sides, which give these their temperature or velocity",
+                )
                 .into());
         }
         Ok(Self { flow, config: config.clone(), wanted })
@@ -447,6 +454,25 @@ impl AroundShapes {
         all.push(("factorisations", json!(counts.factorisations)));
         all.push(("volume_rest", json!(solution.state.lambda)));
         all
+    }
+
+    /// The growth rate and angular frequency of the disturbance that grows fastest, and the Reynolds number by the largest body and the
+    /// fastest particle; none below a Reynolds number at which flows around bodies are known to be stable.
+    ///
+    /// # Errors
+    /// A matrix without factors.
+    pub fn growth(&mut self, solution: &Solution, fastest: f64) -> Result<Option<(f64, f64)>, Error> {
+        let cloud = &self.flow.cloud;
+        let outlines = cloud.places.bodies.iter().map(|&body| &cloud.ground.outlines[body]);
+        let across = outlines
+            .map(|outline| (area(&outline.points(&outline.samples(8), &outline.numbers)).abs() * 4.0 / PI).sqrt());
+        let size = across.fold(0.0, f64::max);
+        if size == 0.0 || fastest * size / self.config.kinematic_viscosity() < STABLE {
+            return Ok(None);
+        }
+        // The angular frequency of vortices behind a cylinder is about this.
+        let rate = 1.2 * fastest / size;
+        self.flow.growth(solution, rate).map_err(|why| no_solution(&self.config, &why))
     }
 
     /// The particles with their fields, for files and pictures.

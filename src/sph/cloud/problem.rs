@@ -105,6 +105,20 @@ impl SteadyFlow {
         self.solver.settle(&shaped.operators, state, held)
     }
 
+    /// See [`Solver::growth`].
+    ///
+    /// # Errors
+    /// A matrix without factors.
+    pub fn growth(&mut self, solution: &Solution, rate: f64) -> Result<Option<(f64, f64)>, NoSolution> {
+        let Solution { shaped, state, .. } = solution;
+        self.solver.equations.conditions = shaped.conditions.clone();
+        let equations = self.solver.equations.clone();
+        let flow_rate = Rate { measures: &self.measures, equations: &equations, shaped };
+        let held = self.held.as_ref().map(|held| (held, &flow_rate as _));
+        let found = self.solver.growth(&shaped.operators, state, held, rate);
+        Ok(found.map_err(NoSteadyState::from)?)
+    }
+
     /// What figures are read from.
     pub fn at<'a>(&'a self, solution: &'a Solution) -> At<'a> {
         let Solution { shaped, state, derivatives: d } = solution;

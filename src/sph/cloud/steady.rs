@@ -12,8 +12,10 @@
 //! A is singular where only the border fixes the pressure, so A + e e^T (e: the row of that pressure) is factorised.
 
 use super::equations::{Derivatives, Equations, Motion, Operators, State};
+use crate::numerics::eigenvalues::outermost;
 use crate::numerics::krylov::gmres;
 use crate::numerics::sparse_lu::{dot, BlockMatrix, Order, Singular, SparseLu};
+use num_complex::Complex64;
 use std::cell::OnceCell;
 use std::sync::Arc;
 
@@ -53,6 +55,8 @@ pub trait FlowRate: Sync {
 const STEPS: usize = 25;
 /// The largest residual of a steady state, in those of a flow at rest.
 const TOLERANCE: f64 = 1e-11;
+/// Dimensions of the space in which the fastest growing disturbance is looked for.
+const DISTURBANCES: usize = 60;
 /// Iterations of GMRES with old factors before the matrix is factorised anew.
 const ITERATIONS: usize = 14;
 /// The same for an adjoint, which is solved to more digits.
@@ -427,6 +431,50 @@ impl Solver {
             return Err(NoSteadyState::Adjoint);
         }
         Ok((flow, heat))
+    }
+
+    /// The growth rate and angular frequency of the disturbance that grows fastest, or decays slowest, in a steady flow.
+    ///
+    /// Disturbances x exp(sigma t) solve sigma M x = -R_z x, M the identity in the rows of momentum and 0 in the others. Arnoldi's
+    /// method finds the outermost eigenvalues of (kappa M + R_z)^-1 M, which are 1 / (kappa + sigma'); the image of what grows
+    /// is outside of a circle that holds all the others. `rate`: kappa, about the frequency that is expected.
+    ///
+    /// # Errors
+    /// A matrix without factors.
+    pub fn growth(
+        &mut self,
+        operators: &Operators,
+        state: &State,
+        held: Option<(&Held, &dyn FlowRate)>,
+        rate: f64,
+    ) -> Result<Option<(f64, f64)>, Singular> {
+        let (n, inside) = (self.equations.particles(), self.equations.inside);
+        let d = self.equations.derivatives(operators, state, false);
+        self.equations.flow_matrix(state, &d, operators, &mut self.flow);
+        for i in 0..inside {
+            let entry = self.flow.entry(i, i as u32);
+            let block = self.flow.block_mut(entry);
+            block[0] += rate;
+            block[4] += rate;
+        }
+        let border = self.border(state, &d, operators, held);
+        let factors = Factors::new(&self.flow_order, &self.flow, &border, self.threads)?;
+        let extra = border.columns.len();
+        let mut map = |x: &[f64]| {
+            let moves = |k: usize| k % 3 < 2 && k / 3 < inside;
+            let mut right: Vec<f64> = (0..3 * n).map(|k| if moves(k) { x[k] } else { 0.0 }).collect();
+            right.resize(3 * n + extra, 0.0);
+            let mut found = factors.solve(&right, false, false);
+            found.truncate(3 * n);
+            found
+        };
+        // Every disturbance is in it; the same in each run.
+        let first: Vec<f64> = (0..3 * n).map(|k| (1.0 + k as f64 * 0.754_877_666).fract() - 0.5).collect();
+        let first = map(&first);
+        let found = outermost(&first, DISTURBANCES, &mut map);
+        let certain = found.into_iter().filter(|one| one.residual < 1e-2);
+        let growth = certain.map(|one| Complex64::new(rate, 0.0) - one.value.inv());
+        Ok(growth.max_by(|a, b| a.re.total_cmp(&b.re)).map(|sigma| (sigma.re, sigma.im.abs())))
     }
 
     /// Forgets the factors, for a state far from the last one.
