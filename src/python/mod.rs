@@ -9,6 +9,7 @@ mod parts;
 mod rollout;
 mod scene;
 mod simulate;
+mod steady;
 mod watch;
 
 use pyo3::prelude::*;

@@ -4,6 +4,7 @@ use super::arrays::{shaped, vector};
 use super::errors::to_python;
 use super::parts::Parts;
 use super::simulate::simulate;
+use super::steady::steady;
 use super::watch::watched;
 use crate::config::scene::{Config, Precision};
 use crate::design::optimise::Epoch;
@@ -118,6 +119,10 @@ impl Scene {
 
     fn objective(&self, py: Python<'_>, design: Vec<f64>) -> PyResult<f64> {
         watched(py, None, |_| Ok(of!(self, parts => parts.objective(&design))?))
+    }
+
+    fn steady<'py>(&self, py: Python<'py>, numbers: Option<Vec<f64>>, gradient: bool) -> PyResult<Bound<'py, PyDict>> {
+        steady(py, of!(self, parts => &parts.loaded), numbers, gradient)
     }
 
     fn value_and_gradient<'py>(

@@ -365,8 +365,8 @@ impl AroundShapes {
             ObjectiveKind::Distance => {
                 let (plane, corners) = (self.flow.cloud.ground.plane, self.flow.cloud.places.corners);
                 // The nearest pair: (distance, direction from a to b, a, b or none for a side).
-                let mut nearest: (f64, [f64; 2], (usize, usize), Option<(usize, usize)>) =
-                    (f64::INFINITY, [0.0; 2], (0, 0), None);
+                type Nearest = (f64, [f64; 2], (usize, usize), Option<(usize, usize)>);
+                let mut nearest: Nearest = (f64::INFINITY, [0.0; 2], (0, 0), None);
                 for &a in &chosen {
                     for (i, p) in points[a].iter().enumerate() {
                         for d in (0..2).filter(|&d| !plane.periodic[d]) {

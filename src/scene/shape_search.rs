@@ -237,7 +237,7 @@ impl<'a> Search<'a> {
             history.push(epoch);
             let last = history.len() - 1;
             let (own, other) = (rank(&history[last]), rank(&history[best]));
-            if own.0 > other.0 || (own.0 == other.0 && own.1 > other.1) {
+            if (own.0 && !other.0) || (own.0 == other.0 && own.1 > other.1) {
                 best = last;
             }
             watch(&history[last], last);

@@ -349,3 +349,25 @@ def test_the_command_line_comes_with_the_package():
         assert run("scenes").returncode == 0
         bad = run("simulate", "--set", "resolution.dx=-1")
         assert bad.returncode == 2 and "resolution.dx" in bad.stderr and not os.listdir(folder)
+
+
+def test_a_steady_flow_of_a_dict_has_its_exact_gradient():
+    scene = hydrograd.Scene(
+        {
+            "method": {"name": "fixed"},
+            "region": {"size": [1.0, 0.4], "periodic": [True, False], "acceleration": [1.0, 0.0]},
+            "fluid": {"viscosity": 0.006},
+            "resolution": {"dx": 0.04},
+            "objective": {"kind": "drag"},
+            "shapes": [{"kind": "ellipse", "centre": [0.5, 0.2], "axes": [0.08, 0.05], "angle": 20}],
+            "variables": [{"number": "shapes[0].axes[0]", "lower": 0.05, "upper": 0.1}, {"number": "shapes[0].angle", "lower": -40, "upper": 40}],
+        }
+    )
+    flow = scene.steady()
+    assert flow.variables == ["shapes[0].axes[0]", "shapes[0].angle"]
+    assert flow.position.shape == flow.velocity.shape == (len(flow.pressure), 2)
+    assert flow.objective == pytest.approx(flow.figures["shapes"][0]["force"][0])
+    for k, step in enumerate([1e-5, 1e-2]):
+        up, down = ([x + sign * step * (i == k) for i, x in enumerate(flow.numbers)] for sign in (1, -1))
+        difference = (scene.steady(up, gradient=False).objective - scene.steady(down, gradient=False).objective) / (2 * step)
+        assert flow.gradient[k] == pytest.approx(difference, rel=1e-5)

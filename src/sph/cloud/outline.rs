@@ -430,7 +430,7 @@ impl Outline {
                 let (next, rate) = ((k + 1) % n, (2 * n) as f64);
                 let ahead = unit(k, next);
                 let end = difference(corners[next], scaled(S::of(cut[next]), ahead));
-                if piece % 2 == 0 {
+                if piece.is_multiple_of(2) {
                     // An edge between what is cut off at both ends.
                     let start = sum(corners[k], scaled(S::of(cut[k]), ahead));
                     let edge = difference(end, start);

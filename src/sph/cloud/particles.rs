@@ -285,8 +285,8 @@ impl Cloud {
                 let before = [b[0] - a[0] + shift[0], b[1] - a[1] + shift[1]];
                 let now: [f64; 2] = std::array::from_fn(|d| position[d][j] - position[d][i] + shift[d]);
                 let square = before[0] * before[0] + before[1] * before[1];
-                // NaN counts as folded.
-                if !(before[0] * now[0] + before[1] * now[1] > 0.4 * square) {
+                let along = before[0] * now[0] + before[1] * now[1];
+                if along.is_nan() || along < 0.4 * square {
                     return Err(Unusable::Folded([position[0][i], position[1][i]]));
                 }
             }

@@ -11,7 +11,7 @@
 //!
 //! A is singular where only the border fixes the pressure, so A + e e^T (e: the row of that pressure) is factorised.
 
-use super::equations::{Derivatives, Equations, Motion, Operators, State};
+use super::equations::{Derivatives, Equations, Operators, State};
 use crate::numerics::eigenvalues::outermost;
 use crate::numerics::krylov::gmres;
 use crate::numerics::sparse_lu::{dot, BlockMatrix, Order, Singular, SparseLu};
@@ -480,16 +480,5 @@ impl Solver {
     /// Forgets the factors, for a state far from the last one.
     pub fn forget(&mut self) {
         self.factors = None;
-    }
-}
-
-/// Whether derivatives are all zero, for tests of what a figure reads.
-
-/// Whether a side lets fluid through.
-pub fn is_open(motion: Motion) -> bool {
-    match motion {
-        Motion::Given([u, v]) => u != 0.0 || v != 0.0,
-        Motion::Outflow(_) => true,
-        Motion::Symmetry(_) => false,
     }
 }

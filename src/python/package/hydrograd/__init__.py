@@ -16,7 +16,7 @@ from types import ModuleType
 
 from ._native import Diverged, __version__, set_threads
 from .learned import Prediction, Rollout, Trajectory, read_trajectory, rollout
-from .scene import Frames, Optimisation, Run, Scene, presets, scenes
+from .scene import Frames, Optimisation, Run, Scene, Steady, presets, scenes
 
 __all__ = [
     "Diverged",
@@ -26,6 +26,7 @@ __all__ = [
     "Rollout",
     "Run",
     "Scene",
+    "Steady",
     "Trajectory",
     "__version__",
     "presets",

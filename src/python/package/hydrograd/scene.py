@@ -116,13 +116,42 @@ class Optimisation:
         return f"<hydrograd.Optimisation: {first:.6f} -> {self.q_best:.6f} in epoch {self.best + 1} of {epochs}>"
 
 
+@dataclass(frozen=True, eq=False)
+class Steady:
+    """The steady flow of fixed particles around shapes, see :meth:`Scene.steady`.
+
+    Attributes:
+        objective: the objective's value.
+        gradient: its exact derivative by each of ``numbers`` (per degree for angles), ``[K]``; None if it was not asked for.
+        numbers: the numbers of shapes that it belongs to, ``[K]``.
+        variables: their names, such as ``shapes[0].radius``.
+        figures: as in ``summary.json``: ``flow_rate``, ``shapes`` (``force``, ``torque``, ``heat`` of each) and more.
+        position, velocity: ``[N, 2]``.
+        pressure: ``[N]``.
+        temperature: ``[N]``; None without heat.
+        tag: ``[N]``, 0 for fluid, others for walls.
+    """
+
+    objective: float
+    gradient: Optional[Array]
+    numbers: Array
+    variables: list[str]
+    figures: dict[str, Any]
+    position: Array
+    velocity: Array
+    pressure: Array
+    temperature: Optional[Array]
+    tag: npt.NDArray[np.uint8]
+
+
 class Scene:
     """A flow to simulate, and where it has walls to shape, to differentiate and to optimise.
 
     Names, keys and units are those of the command line: ``hydrograd scenes heated-channel`` prints every key with a comment.
 
     Args:
-        scene: name of a built-in scene (:func:`scenes`) or path of a TOML file.
+        scene: name of a built-in scene (:func:`scenes`), path of a TOML file, or a scene of one's own as a dict of its
+            sections and keys, such as ``{"region": {"size": [1, 0.4]}, "shapes": [{"kind": "disc", ...}]}``.
         preset: name of a preset (:func:`presets`).
         settings: dotted keys and their values, such as ``{"resolution.dx": 0.04}``.
         **more: the same as keywords, ``**{"time.end": 2}``; they win.
@@ -136,11 +165,14 @@ class Scene:
 
     def __init__(
         self,
-        scene: Union[str, os.PathLike[str]] = "heated-channel",
+        scene: Union[str, os.PathLike[str], Mapping[str, Any]] = "heated-channel",
         preset: Optional[str] = None,
         settings: Optional[Mapping[str, Any]] = None,
         **more: Any,
     ) -> None:
+        if isinstance(scene, Mapping):
+            settings = {**_flat(scene), **(settings or {})}
+            scene = settings.pop("scene", "custom")
         self._arguments = (os.fspath(scene), preset, {**(settings or {}), **more})
         self._native = _native.Scene(os.fspath(scene), preset, assignments(settings or {}, more))
         self._known: Optional[dict[str, Any]] = None
@@ -255,6 +287,20 @@ class Scene:
         figures = json.loads(found.pop("figures"))
         return Run(figures=figures, frames=None if kept is None else Frames(**kept), **found)
 
+    def steady(self, numbers: Optional[ArrayLike] = None, *, gradient: bool = True) -> Steady:
+        """The steady flow of a scene of one's own with ``method.name = "fixed"``, with its exact gradient.
+
+        Args:
+            numbers: ``[K]``, in the order and the units of the scene's ``variables``; the scene's own if None.
+            gradient: whether to take the objective's derivative by all of them: one more, transposed solve.
+
+        Raises:
+            ValueError: particles that move, or shapes that cannot be resolved.
+            Diverged: no steady flow, or particles that fold.
+        """
+        found = self._native.steady(None if numbers is None else _numbers(numbers), bool(gradient))
+        return Steady(**{**found, "figures": json.loads(found["figures"])})
+
     def objective(self, design: Optional[ArrayLike] = None) -> float:
         """The objective of a design, as ``hydrograd optimize`` judges it: where the scene allows, by fixed particles and their
         steady state (``optimise.search``), so it is near but not equal to :attr:`Run.q` of moving ones."""
@@ -345,6 +391,17 @@ class Scene:
             ``gain_survives``, the least of the gains.
         """
         return dict(json.loads(self._native.verify(_numbers(best), None if first is None else _numbers(first), progress)))
+
+
+def _flat(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Sections and keys as dotted keys; lists of shapes and the like are values."""
+    found: dict[str, Any] = {}
+    for key, value in scene.items():
+        if isinstance(value, Mapping):
+            found.update({f"{key}.{inner}": one for inner, one in value.items()})
+        else:
+            found[key] = value
+    return found
 
 
 def _numbers(design: ArrayLike) -> Array:
