@@ -438,6 +438,35 @@ fn flow_drag_and_heat_are_those_of_finite_elements() {
     }
 }
 
+/// Walls inside of the box are those of a narrower box.
+#[test]
+fn walls_that_reach_into_the_box_are_as_good_as_its_sides() {
+    let plain = channel(0.02, "") + &shape("ellipse", &[0.5, 0.2, 0.08, 0.045, 20.0]);
+    let thick = channel(0.02, "")
+        .replace("size = [1.0, 0.4]", "size = [1.0, 0.5]")
+        .replace("upper = [2.0, 0.0]", "upper = [2.0, 0.05]");
+    let thick = thick
+        .replace("lower = [-1.0, 0.4]", "lower = [-1.0, 0.45]")
+        .replace("upper = [2.0, 0.6]", "upper = [2.0, 0.8]");
+    let thick = thick + &shape("ellipse", &[0.5, 0.25, 0.08, 0.045, 20.0]);
+    let figures = |text: &str| {
+        let mut around = AroundShapes::new(&loaded(text)).unwrap();
+        let solution = around.solve(&[]).unwrap();
+        let all = [
+            Figure::FlowRate,
+            Figure::Force { shape: 2, along: 0 },
+            Figure::Heat { shape: 2 },
+            Figure::Heat { shape: 0 },
+        ];
+        (around.flow.cloud.particles(), all.map(|figure| around.value(&solution, figure)))
+    };
+    let ((n, plain), (m, thick)) = (figures(&plain), figures(&thick));
+    assert_eq!(n, m);
+    for (a, b) in plain.iter().zip(&thick) {
+        assert!((a - b).abs() < 1e-6 * a.abs(), "{plain:?} and {thick:?}");
+    }
+}
+
 #[test]
 fn steps_of_the_search_hold_limits_and_find_the_minimum() {
     // Rosenbrock's valley in a disc that excludes its end: x^2 + y^2 <= 1.5.

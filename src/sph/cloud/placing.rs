@@ -170,69 +170,51 @@ impl Ground {
                 continue;
             }
             places.touching.push(k);
-            let lengths = lengths(points);
+            let outline = &self.outlines[k];
+            let put = |chosen: Vec<(f64, f64, f64)>, surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>| {
+                for (t, dt, h) in chosen {
+                    let t = t.rem_euclid(1.0);
+                    let on = outline.points(&[t], &outline.numbers)[0];
+                    let normal = outward(on.along);
+                    let point = BoundaryPoint { particle: 0, on: Some((k, t)), weight: dt, normal, side: None };
+                    surface.push((point, if whole { on.place } else { plane.wrapped(on.place) }, h));
+                }
+            };
             if whole {
                 places.bodies.push(k);
+                let lengths = lengths(points);
                 let spacing = self.surface_spacing(points, &lengths);
-                let chosen = spread(samples, &lengths, &spacing, true, 0.0);
                 self.check_thickness(k, points, &spacing)?;
-                let perimeter: f64 = lengths.iter().sum();
-                let _ = perimeter;
-                for (t, dt, h) in chosen {
-                    let on = self.outlines[k].points(&[t], &self.outlines[k].numbers)[0];
-                    let point = BoundaryPoint {
-                        particle: 0,
-                        on: Some((k, t)),
-                        weight: dt,
-                        normal: outward(on.along),
-                        side: None,
-                    };
-                    surface.push((point, on.place, h));
-                }
+                put(spread(samples, &lengths, &spacing, true, 0.0), &mut surface);
                 self.layers(points, &lengths, &spacing, &mut layers, &mut near);
-            } else {
-                // Stretches of the outline that are in the fluid.
-                for (from, to) in stretches(&free) {
-                    let part = |list: &[f64]| -> Vec<f64> { (from..to).map(|i| list[i % list.len()]).collect() };
-                    let on: Vec<OnOutline<f64>> = (from..to).map(|i| points[i % points.len()]).collect();
-                    let length = part(&lengths);
-                    let total: f64 = length.iter().sum();
-                    let is_straight = {
-                        let first = outward(on[0].along);
-                        on.iter().all(|point| {
-                            let n = outward(point.along);
-                            n[0] * first[0] + n[1] * first[1] > 1.0 - 1e-9
-                        })
-                    };
-                    let spacing = if is_straight { vec![dx; on.len()] } else { self.surface_spacing(&on, &length) };
-                    let mut parameters = part(samples);
-                    for i in 1..parameters.len() {
-                        if parameters[i] < parameters[i - 1] {
-                            parameters[i] += 1.0;
-                        }
-                    }
-                    let is_period = (0..2).any(|d| {
-                        plane.periodic[d]
-                            && (total - plane.size[d]).abs() < 2.0 * total / on.len() as f64
-                            && is_straight
-                    });
-                    let chosen = spread(&parameters, &length, &spacing, is_period, if is_period { 0.0 } else { 0.5 });
-                    for (t, dt, h) in chosen {
-                        let t = t.rem_euclid(1.0);
-                        let on = self.outlines[k].points(&[t], &self.outlines[k].numbers)[0];
-                        let place = plane.wrapped(on.place);
-                        let point = BoundaryPoint {
-                            particle: 0,
-                            on: Some((k, t)),
-                            weight: dt,
-                            normal: outward(on.along),
-                            side: None,
-                        };
-                        surface.push((point, place, h));
-                    }
-                    if !is_straight {
-                        self.layers(&on, &length, &spacing, &mut layers, &mut near);
-                    }
+                continue;
+            }
+            let may = |t: f64| {
+                let place = outline.points(&[t.rem_euclid(1.0)], &outline.numbers)[0].place;
+                is_free(place) && in_period(place)
+            };
+            // Stretches of the outline that are in the fluid, from where it comes out of a wall to where it goes into one.
+            for (from, to) in stretches(&free) {
+                let n = samples.len();
+                let at = |k: usize| samples[k % n] + (k / n) as f64;
+                let mut parameters: Vec<f64> = (from..to).map(at).collect();
+                parameters.insert(0, end_of(parameters[0], at(from + n - 1) - 1.0, &may));
+                parameters.push(end_of(parameters[parameters.len() - 1], at(to), &may));
+                let wrapped: Vec<f64> = parameters.iter().map(|t| t.rem_euclid(1.0)).collect();
+                let on = outline.points(&wrapped, &outline.numbers);
+                let length = lengths(&on);
+                let total: f64 = length[..length.len() - 1].iter().sum();
+                let first = outward(on[1].along);
+                let is_straight = on.iter().all(|point| {
+                    let n = outward(point.along);
+                    n[0] * first[0] + n[1] * first[1] > 1.0 - 1e-9
+                });
+                let spacing = if is_straight { vec![dx; on.len()] } else { self.surface_spacing(&on, &length) };
+                // A wall along a period begins where the lattice does.
+                let is_period = (0..2).any(|d| plane.periodic[d] && (total / plane.size[d] - 1.0).abs() < 1e-6);
+                put(spread(&parameters, &length, &spacing, false, if is_period { 0.0 } else { 0.5 }), &mut surface);
+                if !is_straight {
+                    self.layers(&on, &length, &spacing, &mut layers, &mut near);
                 }
             }
         }
@@ -558,6 +540,20 @@ fn lengths(points: &[OnOutline<f64>]) -> Vec<f64> {
         (b[0] - a[0]).hypot(b[1] - a[1])
     };
     (0..n).map(step).collect()
+}
+
+/// The last parameter from `inside` towards `outside` for which `may` holds.
+fn end_of(inside: f64, outside: f64, may: &impl Fn(f64) -> bool) -> f64 {
+    let (mut good, mut bad) = (inside, outside);
+    for _ in 0..48 {
+        let middle = 0.5 * (good + bad);
+        if may(middle) {
+            good = middle;
+        } else {
+            bad = middle;
+        }
+    }
+    good
 }
 
 /// Ranges of samples that are true, on a closed line; a range may go on behind its end.
