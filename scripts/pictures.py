@@ -35,6 +35,7 @@ QUICK = [
         ("optimize-temperature.png", "temperature.png", 900), ("optimize-shapes.png", "shapes.png", 900),
         ("page.png", "report.html", 1120, EPOCH)]),
     (["optimize", "pin.toml", "--epochs", "5", "--no-verify"], [("pin.png", "temperature.png", 640)]),
+    (["optimize", f"{EXAMPLES}/three-pins.toml", "--no-verify"], [("three-pins.png", "temperature.png", 720)]),
     (["simulate", f"{EXAMPLES}/cylinder.toml"], [("cylinder.png", "temperature.png", 720)]),
     (["simulate", f"{EXAMPLES}/rolls.toml"], [("rolls.png", "flow.png", 520)]),
     (["simulate", f"{EXAMPLES}/hot-block.toml"], [("hot-block.png", "temperature.png", 520)]),

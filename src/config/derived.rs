@@ -136,7 +136,8 @@ impl Config {
             let value = viscosity / self.thermal_diffusivity();
             all.push(Dimensionless { name: "Prandtl", value, length: None, speed: None });
         }
-        if moves {
+        // Fixed particles around shapes are incompressible.
+        if moves && !self.is_around_shapes() {
             let value = fastest / self.sound_speed();
             all.push(Dimensionless {
                 name: "Mach",
