@@ -438,6 +438,22 @@ fn flow_drag_and_heat_are_those_of_finite_elements() {
     }
 }
 
+/// Square array of cylinders that fill a fifth of space, in creeping flow: F / (mu U) = 51.53 (Sangani and Acrivos 1982).
+#[test]
+fn the_drag_of_a_square_array_is_that_of_sangani_and_acrivos() {
+    let text = "scene = \"custom\"\nregion.size = [1.0, 1.0]\nregion.periodic = [true, true]\nregion.acceleration = [1.0, 0.0]\n\
+                fluid.viscosity = 1.0\nresolution.dx = 0.03125\nmethod.name = \"fixed\"\n\
+                [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.5]\nradius = 0.25231325\n";
+    let mut around = AroundShapes::new(&loaded(text)).unwrap();
+    let solution = around.solve(&[]).unwrap();
+    let drag = 1.0 / around.value(&solution, Figure::FlowRate);
+    assert!((drag / 51.53 - 1.0).abs() < 4e-3, "{drag}");
+    // The fluid's body force is all that holds the cylinder, so by balance its force is exact; by its surface nearly so.
+    let force = around.value(&solution, Figure::Force { shape: 0, along: 0 });
+    let own = around.flow.measures.surface_force(&around.flow.at(&solution), 0, 0);
+    assert!((force - 0.8).abs() < 1e-6 && (own - 0.8).abs() < 4e-3, "{force} and {own}");
+}
+
 /// Walls inside of the box are those of a narrower box.
 #[test]
 fn walls_that_reach_into_the_box_are_as_good_as_its_sides() {
