@@ -262,7 +262,7 @@ fn outlines_run_counter_clockwise_and_their_slopes_are_their_derivatives() {
 }
 
 /// A flow with every kind of condition.
-const SIDES: &str = "scene = \"custom\"\nregion.size = [1.0, 0.5]\nregion.periodic = [false, false]\nregion.acceleration = [0.1, 0.2]\n\
+const SIDES: &str = "scene = \"custom\"\nregion.size = [1.0, 0.5]\nregion.acceleration = [0.1, 0.2]\n\
     region.sides.left = { kind = \"inflow\", velocity = [\"1 + y\", 0.1], temperature = \"y\" }\n\
     region.sides.right = { kind = \"outflow\" }\nregion.sides.top = { kind = \"symmetry\" }\n\
     region.sides.bottom = { kind = \"wall\", heat_flux = \"0.1 + x\" }\n\

@@ -27,6 +27,9 @@ use std::time::Instant;
 /// Surface and balance may differ by this before there is a warning.
 const IMBALANCE: f64 = 0.05;
 
+/// More of the flow than this must not be left of continuity.
+const REST: f64 = 0.03;
+
 /// A passage between bodies and walls that is narrower than this many spacings is warned of.
 const NARROW: f64 = 4.0;
 
@@ -67,6 +70,18 @@ pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
                 });
             }
         }
+    }
+    let area = around.flow.measures.area(&around.flow.at(solution));
+    let through = number(&figures, "flow_rate").unwrap_or(0.0).abs().max(1e-3 * fastest(solution));
+    let rest = (solution.state.lambda * area / through).abs();
+    if rest > REST {
+        found.push(Warning {
+            code: "volume".into(),
+            value: Some(rest),
+            limit: Some(REST),
+            problem: format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest),
+            advice: format!("an outflow in region.sides, or resolution.dx={}", around.finer_spacing()),
+        });
     }
     let dx = around.flow.cloud.ground.dx;
     let narrowest = around.of_shapes(ObjectiveKind::Distance, &[], &around.first()).map(|judged| judged.value / dx);

@@ -9,6 +9,7 @@ use super::build_design;
 use super::plausible::Findings;
 use crate::config::before;
 use crate::config::builtin;
+use crate::config::custom::SideKind;
 use crate::config::builtin::{BuiltIn, SCENES};
 use crate::config::difference::differences;
 use crate::config::layers::{Layer, Merged, Setting};
@@ -437,7 +438,8 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     let mut given = merged.clone();
     // A scene's default method already has its defaults.
     if config.scene.built_in().methods()[0] != config.method.name() {
-        method_defaults(&mut merged, &config);
+        periodic_sides(&mut merged, &config);
+    method_defaults(&mut merged, &config);
         config = merged.read();
     }
     if merged.is_text("time.cfl", AUTO) {
@@ -490,6 +492,19 @@ pub fn check_shape(config: &Config) -> Result<(), BadInput> {
         Family::Custom if config.is_around_shapes() => Ok(()),
         Family::Custom => super::custom::build::<f64>(config).map(|_| ()),
         _ => Ok(()),
+    }
+}
+
+/// Sides that are given say which directions are periodic, if `region.periodic` does not.
+fn periodic_sides(merged: &mut Merged, config: &Config) {
+    let mut periodic = config.region.periodic.clone();
+    for (k, (_, side)) in config.region.sides.all().into_iter().enumerate() {
+        if let (Some(side), Some(periodic)) = (side, periodic.get_mut(k / 2)) {
+            *periodic = side.kind == SideKind::Periodic;
+        }
+    }
+    if periodic != config.region.periodic && !merged.places().contains_key("region.periodic") {
+        merged.set("region.periodic", Value::Array(Array::from_iter(periodic)), "region.sides");
     }
 }
 
