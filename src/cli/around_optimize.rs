@@ -148,37 +148,31 @@ fn put_search(record: &mut Record, loaded: &Loaded, found: &Found, name: &str, b
     record.put("variables", numbers.collect::<Value>());
     let mut warnings = record.warnings();
     if *best == 0 && history.len() > 1 {
-        warnings.push(Warning {
-            code: "no-improvement".into(),
-            value: Some(0.0),
-            limit: Some(0.0),
-            problem: format!("in {} epochs nothing was found that is better than the first design", history.len()),
-            advice: "another start".into(),
-        });
+        warnings.push(Warning::new(
+            "no-improvement",
+            [0.0, 0.0],
+            format!("in {} epochs nothing was found that is better than the first design", history.len()),
+            "another start",
+        ));
     }
     if let Some(why) = &found.stopped {
-        warnings.push(Warning {
-            code: "stopped".into(),
-            value: None,
-            limit: None,
-            problem: format!(
-                "the search ended where particles cannot be placed: {}",
-                why.lines().next().unwrap_or_default()
-            ),
-            advice: "[[limits]] with kind = \"distance\", or narrower limits of the variables".into(),
-        });
+        warnings.push(Warning::new(
+            "stopped",
+            [f64::NAN, f64::NAN],
+            format!("the search ended where particles cannot be placed: {}", why.lines().next().unwrap_or_default()),
+            "[[limits]] with kind = \"distance\", or narrower limits of the variables",
+        ));
     }
     if *jump > JUMP {
-        warnings.push(Warning {
-            code: "jump".into(),
-            value: Some(*jump),
-            limit: Some(JUMP),
-            problem: format!(
+        warnings.push(Warning::new(
+            "jump",
+            [*jump, JUMP],
+            format!(
                 "where particles were placed anew the objective jumped by {:.1} %: it is not resolved",
                 100.0 * jump
             ),
-            advice: format!("resolution.dx={}", config.finer_spacing()),
-        });
+            format!("resolution.dx={}", config.finer_spacing()),
+        ));
     }
     record.put("before", before);
     record.put_warnings(loaded, warnings);

@@ -58,16 +58,10 @@ pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
             let (balanced, own) = (of(name), of(by_surface));
             let off = (own / balanced - 1.0).abs();
             if off > IMBALANCE {
-                found.push(Warning {
-                    code: "imbalance".into(),
-                    value: Some(off),
-                    limit: Some(IMBALANCE),
-                    problem: format!(
+                found.push(Warning::new("imbalance", [off, IMBALANCE], format!(
                         "the {name} of shapes[{k}] by its own surface and by the balance of the flow differ by {:.1} %: it is not resolved",
                         100.0 * off
-                    ),
-                    advice: format!("resolution.dx={}", around.finer_spacing()),
-                });
+                    ), format!("resolution.dx={}", around.finer_spacing())));
             }
         }
     }
@@ -75,26 +69,24 @@ pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
     let through = number(&figures, "flow_rate").unwrap_or(0.0).abs().max(1e-3 * fastest(solution));
     let rest = (solution.state.lambda * area / through).abs();
     if rest > REST {
-        found.push(Warning {
-            code: "volume".into(),
-            value: Some(rest),
-            limit: Some(REST),
-            problem: format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest),
-            advice: format!("an outflow in region.sides, or resolution.dx={}", around.finer_spacing()),
-        });
+        found.push(Warning::new(
+            "volume",
+            [rest, REST],
+            format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest),
+            format!("an outflow in region.sides, or resolution.dx={}", around.finer_spacing()),
+        ));
     }
     let dx = around.flow.cloud.ground.dx;
     let narrowest = around.of_shapes(ObjectiveKind::Distance, &[], &around.first()).map(|judged| judged.value / dx);
     if let Some(narrowest) = narrowest.filter(|passage| *passage < NARROW) {
-        found.push(Warning {
-            code: "narrow".into(),
-            value: Some(narrowest),
-            limit: Some(NARROW),
-            problem: format!(
+        found.push(Warning::new(
+            "narrow",
+            [narrowest, NARROW],
+            format!(
                 "the narrowest passage is {narrowest:.1} spacings wide: at 2.5 spacings the flow rate was 1.7 % off"
             ),
-            advice: format!("resolution.dx={:.2e}", dx * narrowest / NARROW),
-        });
+            format!("resolution.dx={:.2e}", dx * narrowest / NARROW),
+        ));
     }
     found
 }
@@ -269,16 +261,10 @@ fn put_growth(
     record.put("growth_frequency", frequency / (2.0 * PI));
     if growth > 0.0 {
         let mut warnings = record.warnings();
-        warnings.push(Warning {
-            code: "unstable".into(),
-            value: Some(growth),
-            limit: Some(0.0),
-            problem: format!(
+        warnings.push(Warning::new("unstable", [growth, 0.0], format!(
                 "the flow is steady but unstable: disturbances grow at a rate of {growth:.2e}; a real flow would oscillate, with a frequency of about {:.2e}",
                 frequency / (2.0 * PI)
-            ),
-            advice: format!("fluid.viscosity={}, or a smaller body", 2.0 * loaded.config.fluid.viscosity),
-        });
+            ), format!("fluid.viscosity={}, or a smaller body", 2.0 * loaded.config.fluid.viscosity)));
         record.put_warnings(loaded, warnings);
     }
     Ok(())

@@ -5,6 +5,8 @@
 //! lower the merit f + sum nu |violation| enough is halved. Every point is asked for and told, as of
 //! [`super::optimisers::Optimiser`]; a point whose value is not finite shortens the step.
 
+use crate::numerics::sparse_lu::dot;
+
 /// A limit at a point: its value, its derivative, and whether it must be 0 instead of at most 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limited {
@@ -62,10 +64,6 @@ const ROUNDS: usize = 40;
 const WORTH: f64 = 3e-5;
 /// The shortest share of a step.
 const SHORTEST: f64 = 1.0 / 64.0;
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
 
 impl Sqp {
     pub fn new(x: &[f64], lower: &[f64], upper: &[f64]) -> Self {

@@ -9,8 +9,8 @@ use super::build_design;
 use super::plausible::Findings;
 use crate::config::before;
 use crate::config::builtin;
-use crate::config::custom::SideKind;
 use crate::config::builtin::{BuiltIn, SCENES};
+use crate::config::custom::SideKind;
 use crate::config::difference::differences;
 use crate::config::layers::{Layer, Merged, Setting};
 use crate::config::method::kind::Given;
@@ -439,7 +439,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     // A scene's default method already has its defaults.
     if config.scene.built_in().methods()[0] != config.method.name() {
         periodic_sides(&mut merged, &config);
-    method_defaults(&mut merged, &config);
+        method_defaults(&mut merged, &config);
         config = merged.read();
     }
     if merged.is_text("time.cfl", AUTO) {
