@@ -15,6 +15,9 @@ section! {
         /// Spacing of fixed particles on surfaces of shapes; none: dx / 3.
         #[serde(skip_serializing_if = "Option::is_none")]
         surface: Option<f64> = None, Positive;
+        /// The largest spacing of fixed particles far from bodies, in dx; none: 1.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        far: Option<f64> = None, Within(1.0, 64.0);
     }
 }
 

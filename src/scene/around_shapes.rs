@@ -181,7 +181,7 @@ impl AroundShapes {
                 fluid.pumping_power.map(|power| Held::Power { power: power / fluid.density, length: region.size[0] })
             }
         };
-        let ground = Ground { plane, dx, surface, outlines };
+        let ground = Ground { plane, dx, surface, far: config.resolution.far.unwrap_or(1.0), outlines };
         let threads = threads::count();
         let cloud =
             Cloud::new(ground, materials, Arc::new(conditions), threads).map_err(|why| unusable(config, &why))?;

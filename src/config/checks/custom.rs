@@ -113,6 +113,9 @@ impl Config {
         if self.resolution.surface.is_some() {
             return bad("resolution.surface", String::new());
         }
+        if self.resolution.far.is_some() {
+            return bad("resolution.far", String::new());
+        }
         if self.fluid.drive != DriveName::BodyForce {
             return bad("fluid.drive", " that holds something".into());
         }

@@ -40,7 +40,7 @@ impl Schema for Config {
         config.variables = vec![VariableEntry::default()];
         config.limits = vec![LimitEntry::default()];
         (config.objective.shapes, config.objective.terms) = (vec![0], vec![Term::default()]);
-        config.resolution.surface = Some(0.01);
+        (config.resolution.surface, config.resolution.far) = (Some(0.01), Some(1.0));
         config.objective.goal = Goal::Smaller;
         let side = Some(Side {
             velocity: Some(vec![]),

@@ -112,7 +112,12 @@ impl Measures {
             points[shape].iter().map(on).sum()
         };
         let total: f64 = places.bodies.iter().map(|&body| length(body)).sum();
-        let share = (0..shapes).map(|k| if places.bodies.contains(&k) { length(k) / total } else { 0.0 }).collect();
+        // Where the rest is coarser than the surroundings of bodies (`resolution.far`), these know better: by balance the heat of a
+        // cylinder in a stream is 2.1 % off with four times the spacing on the sides, by its surface 1.1 %.
+        let spacing = |&k: &usize| places.spacing[places.boundary[k].particle];
+        let balances = rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
+        let share =
+            (0..shapes).map(|k| if balances && places.bodies.contains(&k) { length(k) / total } else { 0.0 }).collect();
         let (centre, centre_numbers) = (0..shapes)
             .map(|k| {
                 let outline = &cloud.ground.outlines[k];
@@ -155,7 +160,7 @@ impl Measures {
                 if cloud.ground.is_in_wall(&places.polygons, p, None).is_some() {
                     continue;
                 }
-                if let Some((_, particle)) = near.one(p, 2.0 * cloud.ground.dx) {
+                if let Some((_, particle)) = near.one(p, 2.0 * cloud.ground.far * cloud.ground.dx) {
                     let r = plane.between(places.place[particle], p);
                     let own = places.place[particle];
                     section.push(Sample { particle, place: [own[0] + r[0], own[1] + r[1]], weight: 0.5 * step });

@@ -19,6 +19,8 @@ pub struct Ground {
     pub dx: f64,
     /// Spacing on surfaces of bodies.
     pub surface: f64,
+    /// The largest spacing far from bodies, in dx.
+    pub far: f64,
     /// Outlines by shape.
     pub outlines: Vec<Outline>,
 }
@@ -70,6 +72,8 @@ pub enum Unplaceable {
 const GROWTH: f64 = 0.25;
 const LAYERS: usize = 2;
 const RELAXATIONS: usize = 30;
+/// Growth of the spacing far from bodies, per distance.
+const COARSER: f64 = 0.15;
 /// Farther from surfaces, in dx, there are neither layers nor displaced points.
 const FAR: f64 = 12.0;
 /// Smallest spacing on a surface, in the usual one.
@@ -219,7 +223,9 @@ impl Ground {
             }
         }
         self.corners_of(&mut places);
-        self.sides(&polygons, &places.corners, &mut surface);
+        // A few points of each surface tell how far it is.
+        let bodies: Vec<[f64; 2]> = near.iter().step_by(16).map(|(place, ..)| *place).collect();
+        self.sides(&polygons, &places.corners, &bodies, &mut surface);
         if surface.is_empty() && places.touching.is_empty() && !plane.periodic.iter().all(|&p| p) {
             return Err(Unplaceable::Full);
         }
@@ -246,10 +252,10 @@ impl Ground {
         }
         let layered: Vec<[f64; 2]> = kept.iter().map(|(p, _)| *p).collect();
         let to_layers = Nearest::new(plane, dx, &layered);
-        for p in self.lattice(&places.corners) {
+        for (p, h) in self.lattice(&places.corners, &bodies) {
             if !self.is_in_box(p)
                 || self.is_in_wall(&polygons, p, None).is_some()
-                || to_walls.distance(p, dx) <= 0.75 * dx
+                || to_walls.distance(p, h) <= 0.75 * h
             {
                 continue;
             }
@@ -258,7 +264,7 @@ impl Ground {
                 None => true,
             };
             if beyond && to_layers.distance(p, dx) > 0.75 * dx {
-                kept.push((p, dx));
+                kept.push((p, h));
             }
         }
         if kept.len() < 20 {
@@ -429,56 +435,111 @@ impl Ground {
         std::array::from_fn(|d| (((corners[1][d] - corners[0][d]) / self.dx).round() as usize).max(1))
     }
 
-    fn lattice(&self, corners: &[[f64; 2]; 2]) -> Vec<[f64; 2]> {
+    /// By how many factors of two the lattice is coarser at a place, given points on the bodies: from 15 dx away on twice as
+    /// coarse, from 28 dx on four times, and so on up to `far`.
+    fn coarseness(&self, p: [f64; 2], bodies: &[[f64; 2]], cells: [usize; 2]) -> u32 {
+        if self.far < 2.0 || bodies.is_empty() {
+            return 0;
+        }
+        let distance = bodies.iter().map(|q| self.plane.distance(p, *q)).fold(f64::INFINITY, f64::min);
+        let wanted = (1.0 + COARSER * (distance / self.dx - 8.0)).clamp(1.0, self.far);
+        let mut level = wanted.log2().floor() as u32;
+        // A period is a whole number of spacings.
+        while level > 0 && (0..2).any(|d| self.plane.periodic[d] && !cells[d].is_multiple_of(1 << level)) {
+            level -= 1;
+        }
+        level
+    }
+
+    /// Whether row k of the lattice is there where it is coarser; rows are counted from the nearer end.
+    fn is_kept(&self, k: usize, d: usize, cells: [usize; 2], level: u32) -> bool {
+        let from_end = if self.plane.periodic[d] { k } else { k.min(cells[d] - k) };
+        from_end.is_multiple_of(1 << level)
+    }
+
+    /// The points of the lattice with their spacing.
+    fn lattice(&self, corners: &[[f64; 2]; 2], bodies: &[[f64; 2]]) -> Vec<([f64; 2], f64)> {
         let cells = self.cells(corners);
         let range = |d: usize| if self.plane.periodic[d] { 0..cells[d] } else { 1..cells[d] };
         let at = |d: usize, k: usize| corners[0][d] + (corners[1][d] - corners[0][d]) * k as f64 / cells[d] as f64;
-        range(0).flat_map(|i| range(1).map(move |j| [at(0, i), at(1, j)])).collect()
+        let mut found = vec![];
+        for i in range(0) {
+            for j in range(1) {
+                let p = [at(0, i), at(1, j)];
+                let level = self.coarseness(p, bodies, cells);
+                if self.is_kept(i, 0, cells, level) && self.is_kept(j, 1, cells, level) {
+                    found.push((p, self.dx * f64::from(1u32 << level)));
+                }
+            }
+        }
+        found
     }
 
     /// Points on those sides of the box that the fluid reaches.
-    fn sides(&self, polygons: &[Polygon], corners: &[[f64; 2]; 2], surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>) {
+    fn sides(
+        &self,
+        polygons: &[Polygon],
+        corners: &[[f64; 2]; 2],
+        bodies: &[[f64; 2]],
+        surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>,
+    ) {
         let Plane { size, periodic } = self.plane;
         let cells = self.cells(corners);
-        for d in 0..2 {
-            if periodic[d] {
+        for (d, end) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let inside =
+                if end == 0 { corners[0][d] > 1e-9 * self.dx } else { corners[1][d] < size[d] - 1e-9 * self.dx };
+            if periodic[d] || inside {
                 continue;
             }
-            for end in 0..2 {
-                let covered =
-                    if end == 0 { corners[0][d] > 1e-9 * self.dx } else { corners[1][d] < size[d] - 1e-9 * self.dx };
-                if covered {
+            let (e, inner) = (1 - d, self.dx * 1e-6);
+            let step = (corners[1][e] - corners[0][e]) / cells[e] as f64;
+            let mut normal = [0.0; 2];
+            normal[d] = if end == 0 { 1.0 } else { -1.0 };
+            let place = |k: usize| {
+                let mut p = [0.0; 2];
+                p[e] = corners[0][e] + step * k as f64;
+                p[d] = if end == 0 { 0.0 } else { size[d] };
+                p
+            };
+            let level = |k: usize| self.coarseness(place(k), bodies, cells);
+            // Corners of the box belong to the sides along x.
+            let range = match (periodic[e], d) {
+                (true, _) => 0..cells[e],
+                (false, 1) => 0..cells[e] + 1,
+                (false, _) => 1..cells[e],
+            };
+            let kept: Vec<usize> = range.filter(|&k| self.is_kept(k, e, cells, level(k))).collect();
+            for (n, &k) in kept.iter().enumerate() {
+                let p = place(k);
+                let just = [p[0] + inner * normal[0], p[1] + inner * normal[1]];
+                let is_end = !periodic[e] && (k == 0 || k == cells[e]);
+                let near_wall = surface.iter().any(|(point, place, h)| {
+                    point.on.is_some() && self.plane.distance(*place, p) < 0.5 * h.min(self.dx)
+                });
+                if near_wall || (!is_end && self.is_in_wall(polygons, just, None).is_some()) {
                     continue;
                 }
-                let (e, inner) = (1 - d, self.dx * 1e-6);
-                let step = (corners[1][e] - corners[0][e]) / cells[e] as f64;
-                // Corners of the box belong to the sides along x.
-                let range = match (periodic[e], d) {
-                    (true, _) => 0..cells[e],
-                    (false, 1) => 0..cells[e] + 1,
-                    (false, _) => 1..cells[e],
+                // Half of the way to both neighbours; without a corner all of the way to it.
+                let (all, [first, last]) = (cells[e] as f64, [kept[0], kept[kept.len() - 1]].map(|k| k as f64));
+                let k = k as f64;
+                let before = match n {
+                    0 if periodic[e] => 0.5 * (last - all + k),
+                    0 => 0.0,
+                    _ => 0.5 * (kept[n - 1] as f64 + k),
                 };
-                for k in range {
-                    let mut p = [0.0; 2];
-                    p[e] = corners[0][e] + step * k as f64;
-                    p[d] = if end == 0 { 0.0 } else { size[d] };
-                    let mut normal = [0.0; 2];
-                    normal[d] = if end == 0 { 1.0 } else { -1.0 };
-                    let just = [p[0] + inner * normal[0], p[1] + inner * normal[1]];
-                    let is_end = !periodic[e] && (k == 0 || k == cells[e]);
-                    let near_wall = surface.iter().any(|(point, place, h)| {
-                        point.on.is_some() && self.plane.distance(*place, p) < 0.5 * h.min(self.dx)
-                    });
-                    if near_wall || (!is_end && self.is_in_wall(polygons, just, None).is_some()) {
-                        continue;
-                    }
-                    let weight = if is_end { 0.5 * step } else { step };
-                    surface.push((
-                        BoundaryPoint { particle: 0, on: None, weight, normal, side: Some(2 * d + end) },
-                        p,
-                        self.dx,
-                    ));
-                }
+                let after = match kept.get(n + 1) {
+                    Some(&next) => 0.5 * (next as f64 + k),
+                    None if periodic[e] => 0.5 * (first + all + k),
+                    None => all,
+                };
+                let point = BoundaryPoint {
+                    particle: 0,
+                    on: None,
+                    weight: step * (after - before),
+                    normal,
+                    side: Some(2 * d + end),
+                };
+                surface.push((point, p, self.dx * f64::from(1u32 << level(kept[n]))));
             }
         }
     }
