@@ -1,5 +1,6 @@
 //! Fixed particles around any shape: solver, fits, outlines, equations and their adjoint, and finite elements beside them.
 
+use crate::support::noise::noise;
 use crate::support::program::{hydrograd, refused};
 use candle_core::{Device, Tensor, Var};
 use hydrograd::config::custom::{Kind, ShapeEntry};
@@ -18,17 +19,6 @@ use hydrograd::sph::cloud::nearest::{Nearest, Plane};
 use hydrograd::sph::cloud::outline::{area, Outline};
 use std::path::Path;
 use std::sync::Arc;
-
-/// Numbers that look random, in -1 .. 1.
-fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-}
 
 /// The channel of data/reference/bodies-in-channel.csv with other keys and shapes behind it.
 fn channel(dx: f64, more: &str) -> String {
@@ -331,10 +321,7 @@ fn the_residual_and_its_adjoint_equal_candles() {
     }
     // The matrices are the derivatives by the fields.
     let theirs = gradients.get(&fields).unwrap().to_vec2::<f64>().unwrap();
-    let lists = |stencils: &hydrograd::sph::cloud::fit::Stencils, size: usize| {
-        BlockMatrix::of_lists(n, size, |i| (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect())
-    };
-    let (mut of_u, mut of_t) = (lists(&equations.flow, 3), lists(&equations.heat, 1));
+    let (mut of_u, mut of_t) = (equations.flow.matrix(3), equations.heat.matrix(1));
     equations.flow_matrix(&state, &d, &shaped.operators, &mut of_u);
     equations.heat_matrix(&state, &shaped.operators, &mut of_t);
     let (mut by_u, by_t) = (of_u.times(&of_flow, true), of_t.times(&bars[3], true));

@@ -1,5 +1,6 @@
 //! Fixed particles: what a step keeps, its adjoint, and the heated channel against finite elements.
 
+use crate::support::noise::noise;
 use candle_core::{Device, Tensor, Var};
 use hydrograd::config::scene::KernelName;
 use hydrograd::numerics::lanes::{Lanes, Real};
@@ -9,17 +10,6 @@ use hydrograd::sph::fixed::stencil::{derivative, stencil, Weight};
 use hydrograd::sph::fixed::{row, Channel, Fixed};
 use hydrograd::sph::kernels::Kernel;
 use hydrograd::sph::laws::drive::Drive;
-
-/// Numbers that look random, in -1 .. 1.
-fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-}
 
 /// The heated channel of length 1 and height 0.2.
 fn channel(dx: f64) -> Channel {

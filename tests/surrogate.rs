@@ -25,15 +25,9 @@ use hydrograd::surrogate::network::parameters::{detached, tracked, Network, Para
 use hydrograd::surrogate::predictor::{Frame, Scenery};
 use std::sync::Arc;
 
-/// Pseudo-random numbers in -1..1.
+/// Numbers that look random, in -1 .. 1.
 fn noise(count: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
-    let mut next = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    };
+    let mut next = crate::support::noise::noise(seed);
     (0..count).map(|_| next()).collect()
 }
 

@@ -74,10 +74,11 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
         let end = around.fields(&solution);
         let mut series = VtkSeries::new(&folder.join(frames), "particles")?;
         end.with_frame(|frame| series.write(frame))?;
-        records.push(around_shapes::record(at, &around, &solution, seconds));
+        let figures = around.summary(&solution);
+        records.push(around_shapes::record(at, &around, &solution, &figures, seconds));
         if frames == AFTER {
             end.write(folder, &at.config, &at.text)?;
-            print_figures(config, &around.summary(&solution));
+            print_figures(config, &figures);
         }
         fields.push(end);
     }

@@ -5,7 +5,7 @@ use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
 use super::{machine, page};
 use crate::config::custom::Part;
-use crate::config::scene::{Config, ObjectiveKind};
+use crate::config::scene::{Config, Goal, ObjectiveKind};
 use crate::design::objectives::Figure;
 use crate::error::Error;
 use crate::io::vtk::VtkSeries;
@@ -15,7 +15,7 @@ use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_shapes::AroundShapes;
-use crate::scene::load::{Loaded, Source};
+use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
 use crate::sph::cloud::problem::Solution;
@@ -34,7 +34,7 @@ const REST: f64 = 0.03;
 const NARROW: f64 = 4.0;
 
 /// Numbers of a solution that a table shows.
-fn number(figures: &[(&'static str, Value)], name: &str) -> Option<f64> {
+fn number(figures: &Figures, name: &str) -> Option<f64> {
     figures.iter().find(|(other, _)| *other == name).and_then(|(_, value)| value.as_f64())
 }
 
@@ -44,9 +44,12 @@ fn fastest(solution: &Solution) -> f64 {
     u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f64::max)
 }
 
-/// Warnings about a solution: figures of a surface that do not agree with the balance.
-pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
-    let figures = around.summary(solution);
+/// Figures by name, see [`AroundShapes::summary`].
+pub type Figures = [(&'static str, Value)];
+
+/// Warnings about a solution and its figures: a surface that does not agree with the balance, a rest of continuity, and
+/// narrow passages.
+fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) -> Vec<Warning> {
     let shapes = figures.iter().find(|(name, _)| *name == "shapes").and_then(|(_, shapes)| shapes.as_array().cloned());
     let mut found = vec![];
     for (k, shape) in shapes.into_iter().flatten().enumerate() {
@@ -58,22 +61,24 @@ pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
             let (balanced, own) = (of(name), of(by_surface));
             let off = (own / balanced - 1.0).abs();
             if off > IMBALANCE {
-                found.push(Warning::new("imbalance", [off, IMBALANCE], format!(
-                        "the {name} of shapes[{k}] by its own surface and by the balance of the flow differ by {:.1} %: it is not resolved",
-                        100.0 * off
-                    ), format!("resolution.dx={}", around.finer_spacing())));
+                let problem = format!(
+                    "the {name} of shapes[{k}] by its own surface and by the balance of the flow differ by {:.1} %: \
+                     it is not resolved",
+                    100.0 * off
+                );
+                found.push(Warning::new("imbalance", [off, IMBALANCE], problem, around.finer_advice()));
             }
         }
     }
     let area = around.flow.measures.area(&around.flow.at(solution));
-    let through = number(&figures, "flow_rate").unwrap_or(0.0).abs().max(1e-3 * fastest(solution));
+    let through = number(figures, "flow_rate").unwrap_or(0.0).abs().max(1e-3 * fastest(solution));
     let rest = (solution.state.lambda * area / through).abs();
     if rest > REST {
         found.push(Warning::new(
             "volume",
             [rest, REST],
             format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest),
-            format!("an outflow in region.sides, or resolution.dx={}", around.finer_spacing()),
+            format!("an outflow in region.sides, or {}", around.finer_advice()),
         ));
     }
     let dx = around.flow.cloud.ground.dx;
@@ -92,7 +97,7 @@ pub fn warnings_of(around: &AroundShapes, solution: &Solution) -> Vec<Warning> {
 }
 
 /// Prints the figures of a solution.
-pub fn print_figures(config: &Config, figures: &[(&'static str, Value)]) {
+pub fn print_figures(config: &Config, figures: &Figures) {
     let has_heat = config.initial.temperature.is_some();
     for (name, label) in [
         ("flow_rate", "flow rate"),
@@ -151,7 +156,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     end.with_frame(|frame| series.write(frame))?;
     let heat = files::plot_flow_and_heat(folder, &[("steady", &end)], config.resolution.dx)?;
     let figures = around.summary(&solution);
-    let mut record = record(loaded, &around, &solution, seconds);
+    let mut record = record(loaded, &around, &solution, &figures, seconds);
     put_growth(&mut record, loaded, &mut around, &solution)?;
     files::write_summary(folder, &record)?;
     let counts = around.flow.solver.counts;
@@ -171,7 +176,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     if !config.variables.is_empty() {
         println!(
             "next: hydrograd optimize {}    changes its variables so that the objective becomes {}",
-            source(loaded),
+            loaded.source.argument(),
             goal(config)
         );
     }
@@ -212,7 +217,7 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         around.flow.solver.counts.bytes as f64 / 1e6
     );
     println!("picture             {}", folder.join("particles.png").display());
-    let mut warnings = warnings_of(&around, &solution);
+    let mut warnings = warnings_of(&around, &solution, &around.summary(&solution));
     warnings.iter_mut().for_each(|warning| warning.advice = loaded.possible(&warning.advice));
     machine::answer(&json!({
         "scene": config.scene,
@@ -233,19 +238,11 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The scene as an argument of another command.
-fn source(loaded: &Loaded) -> String {
-    match &loaded.source {
-        Source::BuiltIn(name) => name.to_string(),
-        Source::File(path) => path.display().to_string(),
-    }
-}
-
 /// What the objective is to become.
 pub fn goal(config: &Config) -> &'static str {
     match config.objective.goal {
-        crate::config::scene::Goal::Larger => "larger",
-        crate::config::scene::Goal::Smaller => "smaller",
+        Goal::Larger => "larger",
+        Goal::Smaller => "smaller",
     }
 }
 
@@ -261,22 +258,25 @@ fn put_growth(
     record.put("growth_frequency", frequency / (2.0 * PI));
     if growth > 0.0 {
         let mut warnings = record.warnings();
-        warnings.push(Warning::new("unstable", [growth, 0.0], format!(
-                "the flow is steady but unstable: disturbances grow at a rate of {growth:.2e}; a real flow would oscillate, with a frequency of about {:.2e}",
-                frequency / (2.0 * PI)
-            ), format!("fluid.viscosity={}, or a smaller body", 2.0 * loaded.config.fluid.viscosity)));
+        let problem = format!(
+            "the flow is steady but unstable: disturbances grow at a rate of {growth:.2e}; a real flow would oscillate, \
+             with a frequency of about {:.2e}",
+            frequency / (2.0 * PI)
+        );
+        let advice = format!("fluid.viscosity={}, or a smaller body", 2.0 * loaded.config.fluid.viscosity);
+        warnings.push(Warning::new("unstable", [growth, 0.0], problem, advice));
         record.put_warnings(loaded, warnings);
     }
     Ok(())
 }
 
 /// The summary of a steady flow.
-pub fn record(loaded: &Loaded, around: &AroundShapes, solution: &Solution, seconds: f64) -> Record {
+pub fn record(loaded: &Loaded, around: &AroundShapes, solution: &Solution, figures: &Figures, seconds: f64) -> Record {
     let mut record = Record::of_steady(loaded, fastest(solution), seconds);
-    for (name, value) in around.summary(solution) {
+    for (name, value) in figures {
         record.put(name, value);
     }
-    record.put_warnings(loaded, warnings_of(around, solution));
+    record.put_warnings(loaded, warnings_of(around, solution, figures));
     record
 }
 

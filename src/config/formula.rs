@@ -57,6 +57,11 @@ impl Formula {
 }
 
 impl Function {
+    /// Whether it is the same at every place and time.
+    pub fn is_constant(&self) -> bool {
+        self.variables.is_empty()
+    }
+
     /// The value at a position; NaN where it has none.
     pub fn at(&self, place: [f64; 3]) -> f64 {
         self.at_time(place, 0.0)

@@ -207,24 +207,15 @@ impl Order {
             let mut later: Vec<u32> = touched.chain(passed).filter(|&j| rank[j as usize] > last).collect();
             later.sort_unstable_by_key(|&j| rank[j as usize]);
             later.dedup();
-            let children = front.children.clone();
-            let places: Vec<u32> = front.own.iter().chain(&later).copied().collect();
-            for child in children {
-                let at = |j: &u32| places.iter().position(|p| p == j);
-                let mut by_node: Vec<(u32, u32)> = places.iter().enumerate().map(|(k, &p)| (p, k as u32)).collect();
-                by_node.sort_unstable();
-                let find = |j: &u32| {
-                    by_node
-                        .binary_search_by_key(j, |&(p, _)| p)
-                        .map(|k| by_node[k].1)
-                        .ok()
-                        .or_else(|| at(j).map(|k| k as u32))
-                };
-                self.fronts[child].in_parent = self.fronts[child]
-                    .later
-                    .iter()
-                    .map(|j| find(j).expect("a parent has what its child touches"))
-                    .collect();
+            let places = front.own.iter().chain(&later);
+            let mut by_node: Vec<(u32, u32)> = places.enumerate().map(|(place, &node)| (node, place as u32)).collect();
+            by_node.sort_unstable();
+            let place_of = |node: &u32| {
+                let found = by_node.binary_search_by_key(node, |&(node, _)| node);
+                by_node[found.expect("a parent has what its child touches")].1
+            };
+            for child in front.children.clone() {
+                self.fronts[child].in_parent = self.fronts[child].later.iter().map(place_of).collect();
             }
             self.fronts[k].later = later;
         }
@@ -255,6 +246,19 @@ pub struct SparseLu {
 /// A matrix that has no factors: a pivot vanished.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Singular;
+
+/// A solution of A x = b by `solve` and one step of refinement by `correct`, given `times`, the product with A.
+pub fn refined(
+    b: &[f64],
+    times: impl Fn(&[f64]) -> Vec<f64>,
+    solve: impl Fn(&[f64]) -> Vec<f64>,
+    correct: impl Fn(&[f64]) -> Vec<f64>,
+) -> Vec<f64> {
+    let mut x = solve(b);
+    let rest: Vec<f64> = b.iter().zip(times(&x)).map(|(b, product)| b - product).collect();
+    x.iter_mut().zip(correct(&rest)).for_each(|(x, more)| *x += more);
+    x
+}
 
 /// The scalar product, as eight sums side by side, which a processor adds at once.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -460,6 +464,11 @@ impl SparseLu {
     /// Bytes of the factors.
     pub fn bytes(&self) -> usize {
         self.factors.iter().map(|f| 8 * (f.lu.len() + f.upper.len() + f.lower.len())).sum()
+    }
+
+    /// The same as [`Self::solve`], and one step of iterative refinement with the matrix that was factorised.
+    pub fn refined(&self, matrix: &BlockMatrix, b: &[f64], transposed: bool) -> Vec<f64> {
+        refined(b, |x| matrix.times(x, transposed), |r| self.solve(r, transposed), |r| self.solve(r, transposed))
     }
 
     /// x = A^-1 b, or A^-T b.

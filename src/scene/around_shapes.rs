@@ -1,8 +1,9 @@
 //! Custom scenes of fixed particles: the steady flow around the shapes of a configuration, its figures and objective.
 
+use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
-use crate::config::custom::{functions, Part, ShapeEntry, ShapeNumber, Side, SideKind};
-use crate::config::formula::{Formula, Function};
+use crate::config::custom::{Part, ShapeEntry, ShapeNumber, Side, SideKind};
+use crate::config::formula::Function;
 use crate::config::scene::{Config, DriveName, Goal, ObjectiveKind};
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
@@ -46,49 +47,14 @@ struct Conditions {
     capacity: f64,
 }
 
-/// The formulas of a wall.
-#[derive(Debug, Default)]
-struct OnWall {
-    velocity: Vec<Function>,
-    temperature: Option<Function>,
-    heat_flux: Option<Function>,
-    varies: bool,
-}
-
-impl OnWall {
-    fn new(
-        key: &str,
-        velocity: Option<&Vec<Formula>>,
-        temperature: Option<&Formula>,
-        heat_flux: Option<&Formula>,
-    ) -> Result<Self, BadInput> {
-        let one = |name: &str, formula: Option<&Formula>| {
-            formula.map(|formula| formula.function(&format!("{key}.{name}"), 2)).transpose()
-        };
-        let all = velocity.into_iter().flatten().chain(temperature).chain(heat_flux);
-        Ok(Self {
-            varies: all.into_iter().any(|formula| formula.0.trim().parse::<f64>().is_err()),
-            velocity: match velocity {
-                Some(velocity) => functions(&format!("{key}.velocity"), velocity, 2, Formula::function)?,
-                None => vec![],
-            },
-            temperature: one("temperature", temperature)?,
-            heat_flux: one("heat_flux", heat_flux)?,
-        })
-    }
-
-    fn of_shape(k: usize, entry: &ShapeEntry) -> Result<Self, BadInput> {
-        let ShapeEntry { velocity, temperature, heat_flux, .. } = entry;
-        Self::new(&format!("shapes[{k}]"), velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
-    }
-
-    fn condition(&self, place: [f64; 2], reference: f64, capacity: f64) -> (Motion, Warmth) {
+impl Conditions {
+    fn on(&self, wall: &OnWall, place: [f64; 2]) -> (Motion, Warmth) {
         let at = |function: &Function| function.at([place[0], place[1], 0.0]);
         let mut velocity = [0.0; 2];
-        self.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
-        let warmth = match (&self.temperature, &self.heat_flux) {
-            (Some(temperature), _) => Warmth::Given(at(temperature) - reference),
-            (None, flux) => Warmth::Flux(flux.as_ref().map_or(0.0, at) / capacity),
+        wall.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
+        let warmth = match (&wall.temperature, &wall.heat_flux) {
+            (Some(temperature), _) => Warmth::Given(at(temperature) - self.reference),
+            (None, flux) => Warmth::Flux(flux.as_ref().map_or(0.0, at) / self.capacity),
         };
         (Motion::Given(velocity), warmth)
     }
@@ -98,18 +64,18 @@ impl Surroundings for Conditions {
     fn condition(&self, point: &BoundaryPoint, place: [f64; 2]) -> (Motion, Warmth) {
         let adiabatic = Warmth::Flux(0.0);
         if let Some((shape, _)) = point.on {
-            return self.shapes[shape].condition(place, self.reference, self.capacity);
+            return self.on(&self.shapes[shape], place);
         }
         if let Some((kind, wall)) = point.side.and_then(|side| self.sides[side].as_ref()) {
             let along = point.side.unwrap_or_default() / 2;
             return match kind {
                 SideKind::Outflow => (Motion::Outflow(along), adiabatic),
                 SideKind::Symmetry => (Motion::Symmetry(along), adiabatic),
-                _ => wall.condition(place, self.reference, self.capacity),
+                _ => self.on(wall, place),
             };
         }
         match self.shape_behind(point, place) {
-            Some(shape) => self.shapes[shape].condition(place, self.reference, self.capacity),
+            Some(shape) => self.on(&self.shapes[shape], place),
             None => (Motion::Given([0.0; 2]), adiabatic),
         }
     }
@@ -123,7 +89,7 @@ impl Surroundings for Conditions {
     }
 
     fn varies(&self, shape: usize) -> bool {
-        self.shapes[shape].varies
+        self.shapes[shape].varies()
     }
 }
 
@@ -149,12 +115,12 @@ impl AroundShapes {
         let plane =
             Plane { size: [region.size[0], region.size[1]], periodic: [region.periodic[0], region.periodic[1]] };
         let outlines = outlines(&config.shapes, surface);
-        let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry));
+        let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 2));
         let side = |(name, side): (&'static str, Option<&Side>)| {
             let Some(side) = side else { return Ok(None) };
             let Side { kind, velocity, temperature, heat_flux } = side;
             let key = format!("region.sides.{name}");
-            OnWall::new(&key, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
+            OnWall::new(&key, 2, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
                 .map(|wall| Some((*kind, wall)))
         };
         let [left, right, bottom, top] = region.sides.all().map(side);
@@ -214,11 +180,7 @@ impl AroundShapes {
         Ok(Self { flow, config: config.clone(), wanted })
     }
 
-    /// A spacing to try where this one is too coarse, and the advice to do so.
-    pub fn finer_spacing(&self) -> f64 {
-        finer_spacing(&self.config)
-    }
-
+    /// Advice for a spacing that is too coarse.
     pub fn finer_advice(&self) -> String {
         finer(&self.config)
     }
@@ -283,7 +245,7 @@ impl AroundShapes {
     }
 
     /// The value of a kind of objective and its terms: figures with the derivative of the value by each.
-    fn terms(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> (f64, Vec<(Figure, f64)>) {
+    pub fn terms(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> (f64, Vec<(Figure, f64)>) {
         let part = |kind: ObjectiveKind, weight: f64| -> Vec<(Figure, f64)> {
             self.figures(kind, shapes).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
         };
@@ -349,15 +311,7 @@ impl AroundShapes {
             ObjectiveKind::Area => {
                 for (by, &(shape, number)) in by_variables.iter_mut().zip(&self.wanted) {
                     if chosen.contains(&shape) {
-                        let slopes = outlines[shape].slopes(&fine[shape], &numbers[shape], number);
-                        let n = slopes.len();
-                        *by = 0.5
-                            * (0..n)
-                                .map(|k| {
-                                    let (a, b) = (slopes[k].place, slopes[(k + 1) % n].place);
-                                    (a[0] * b[1] - a[1] * b[0]).slope
-                                })
-                                .sum::<f64>();
+                        *by = area(&outlines[shape].slopes(&fine[shape], &numbers[shape], number)).slope;
                     }
                 }
                 Some(Judged { value: chosen.iter().map(|&k| area(&points[k]).abs()).sum(), by_variables })
@@ -402,11 +356,6 @@ impl AroundShapes {
             }
             _ => None,
         }
-    }
-
-    /// The value and terms of a limit on a figure of the flow.
-    pub fn of_limit(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> (f64, Vec<(Figure, f64)>) {
-        self.terms(solution, kind, shapes)
     }
 
     /// The figures of a flow by name, for its summary.
@@ -522,14 +471,10 @@ fn place_of(cloud: &Cloud, number: &ShapeNumber) -> Option<(usize, usize)> {
 }
 
 /// Two thirds of the spacing, in three digits.
-fn finer_spacing(config: &Config) -> f64 {
+fn finer(config: &Config) -> String {
     let dx = config.resolution.dx / 1.5;
     let digits = 10f64.powi(2 - dx.log10().floor() as i32);
-    (dx * digits).floor() / digits
-}
-
-fn finer(config: &Config) -> String {
-    format!("resolution.dx={}", finer_spacing(config))
+    format!("resolution.dx={}", (dx * digits).floor() / digits)
 }
 
 fn unusable(config: &Config, why: &Unusable) -> Error {

@@ -12,7 +12,7 @@ use super::heated_channel;
 use super::lattice::Lattice;
 use super::surface::{Dummy, Knows, Point, Surface};
 use super::{Exact, Scene};
-use crate::config::custom::{Fill, VariableEntry};
+use crate::config::custom::Fill;
 use crate::config::formula::Function;
 use crate::config::scene::{Config, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
@@ -173,18 +173,15 @@ pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput
     if config.objective.kind == ObjectiveKind::WallHeat {
         model = model.with(|flow| flow.wall_heat_until = Some(config.objective.target_x));
     }
-    let (numbers, mut entries) = (config.shape_numbers(), config.shapes.clone());
-    let first = numbers.iter().filter_map(|number| number.of(&mut entries).copied()).collect();
-    let limits = |of: fn(&VariableEntry) -> f64| config.variables.iter().map(of).collect();
-    let parametrisation = Numbers::new(first, limits(|variable| variable.lower), limits(|variable| variable.upper));
+    let parametrisation = Numbers::of_config(config);
     let shapes = Shapes {
-        entries,
+        entries: config.shapes.clone(),
         domain: model.domain,
         vector: model.rows.velocity(),
         points,
         dummies,
         fluid: (0..model.particles()).filter(|&i| model.is_fluid(i)).collect(),
-        numbers,
+        numbers: config.shape_numbers(),
     };
     let (columns, particles) = (shapes.numbers.len(), model.particles());
     let base = super::assembly::rounded(&model, &base).into_iter().map(R::f64).collect();
@@ -248,7 +245,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
         tags[i] = tag::WALL;
         let Some(k) = shape[i] else { continue };
         let p = lattice.place(i);
-        if let Some(temperature) = &shapes[k].temperature {
+        if let Some(temperature) = &shapes[k].on_wall.temperature {
             let excess = value(temperature, || format!("shapes[{k}].temperature"), p)? - reference;
             let (a, b) = match config.wall.hot_isotherm {
                 HotIsotherm::Surface => (2.0 * excess, -1.0),
@@ -256,7 +253,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
             };
             (constant[i], factor[i], tags[i]) = (R::of(a), R::of(b), tag::HOT_WALL);
         }
-        for (e, velocity) in shapes[k].velocity.iter().enumerate() {
+        for (e, velocity) in shapes[k].on_wall.velocity.iter().enumerate() {
             of_wall[i][e] = value(velocity, || format!("shapes[{k}].velocity[{e}]"), p)?;
         }
         if of_wall[i] != [0.0; 3] {
@@ -366,7 +363,7 @@ pub(super) fn surroundings<'a>(config: &Config, shapes: &'a [Shape<'a>]) -> Wall
 /// The conditions at a surface point by the wall behind it.
 fn knows_at(config: &Config, walls: &Walls, foot: &Foot, has_heat: bool) -> Result<Vec<Knows>, BadInput> {
     let (moves, wall) = wall_at(walls, foot)?;
-    let formula = wall.and_then(|k| Some((k, walls.shapes[k].temperature.as_ref()?)));
+    let formula = wall.and_then(|k| Some((k, walls.shapes[k].on_wall.temperature.as_ref()?)));
     let temperature =
         formula.map(|(k, formula)| value(formula, || format!("shapes[{k}].temperature"), foot.place)).transpose()?;
     let warmth = temperature.map_or(Knows::NoHeatFlux, |t| Knows::Temperature(t - config.fluid.inlet_temperature));
@@ -378,7 +375,7 @@ pub(super) fn wall_at(walls: &Walls, foot: &Foot) -> Result<([f64; 3], Option<us
     let behind = walls.beside(foot, -0.25 * walls.spacing);
     let wall = walls.shape_at(behind).filter(|&k| walls.shapes[k].entry.fill == Fill::Wall);
     let mut moves = [0.0; 3];
-    for (e, velocity) in wall.iter().flat_map(|&k| &walls.shapes[k].velocity).enumerate() {
+    for (e, velocity) in wall.iter().flat_map(|&k| &walls.shapes[k].on_wall.velocity).enumerate() {
         moves[e] = value(velocity, || format!("shapes[{}].velocity[{e}]", wall.unwrap_or_default()), foot.place)?;
     }
     Ok((moves, wall))

@@ -10,29 +10,66 @@ use crate::sph::cloud::outline::Outline;
 pub struct Shape<'a> {
     pub entry: &'a ShapeEntry,
     pub positive: Option<Function>,
-    pub velocity: Vec<Function>,
-    pub temperature: Option<Function>,
-    /// Heat flux of a wall into the fluid.
-    pub heat_flux: Option<Function>,
+    pub on_wall: OnWall,
     /// A fine polygon, of shapes that are curves.
     pub polygon: Vec<[f64; 2]>,
 }
 
-impl<'a> Shape<'a> {
-    pub fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
-        let key = |name: &str| format!("shapes[{place}].{name}");
-        let one = |name: &str, formula: &Option<Formula>| {
-            formula.as_ref().map(|formula| formula.function(&key(name), dimension)).transpose()
+/// What formulas give on a wall.
+#[derive(Debug)]
+pub struct OnWall {
+    pub velocity: Vec<Function>,
+    pub temperature: Option<Function>,
+    /// Into the fluid.
+    pub heat_flux: Option<Function>,
+}
+
+impl OnWall {
+    /// Parses the formulas of a shape or side; `key` is its key in messages, such as `shapes[2]`.
+    ///
+    /// # Errors
+    /// An invalid formula.
+    pub fn new(
+        key: &str,
+        dimension: usize,
+        velocity: Option<&Vec<Formula>>,
+        temperature: Option<&Formula>,
+        heat_flux: Option<&Formula>,
+    ) -> Result<Self, BadInput> {
+        let one = |name: &str, formula: Option<&Formula>| {
+            formula.map(|formula| formula.function(&format!("{key}.{name}"), dimension)).transpose()
         };
         Ok(Self {
-            entry,
-            positive: one("positive", &entry.positive)?,
-            velocity: match &entry.velocity {
-                Some(velocity) => functions(&key("velocity"), velocity, dimension, Formula::function)?,
+            velocity: match velocity {
+                Some(velocity) => functions(&format!("{key}.velocity"), velocity, dimension, Formula::function)?,
                 None => vec![],
             },
-            temperature: one("temperature", &entry.temperature)?,
-            heat_flux: one("heat_flux", &entry.heat_flux)?,
+            temperature: one("temperature", temperature)?,
+            heat_flux: one("heat_flux", heat_flux)?,
+        })
+    }
+
+    pub fn of_shape(place: usize, entry: &ShapeEntry, dimension: usize) -> Result<Self, BadInput> {
+        let ShapeEntry { velocity, temperature, heat_flux, .. } = entry;
+        let key = format!("shapes[{place}]");
+        Self::new(&key, dimension, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
+    }
+
+    /// Whether any of them depends on the place.
+    pub fn varies(&self) -> bool {
+        let mut all = self.velocity.iter().chain(&self.temperature).chain(&self.heat_flux);
+        all.any(|function| !function.is_constant())
+    }
+}
+
+impl<'a> Shape<'a> {
+    pub fn new(entry: &'a ShapeEntry, place: usize, dimension: usize) -> Result<Self, BadInput> {
+        let positive = entry.positive.as_ref();
+        let positive = positive.map(|formula| formula.function(&format!("shapes[{place}].positive"), dimension));
+        Ok(Self {
+            entry,
+            positive: positive.transpose()?,
+            on_wall: OnWall::of_shape(place, entry, dimension)?,
             polygon: polygon(entry),
         })
     }

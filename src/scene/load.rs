@@ -42,6 +42,14 @@ impl Source {
             Self::File(path) => path.file_stem().unwrap_or_default().to_string_lossy().into(),
         }
     }
+
+    /// The scene as an argument of a command.
+    pub fn argument(&self) -> String {
+        match self {
+            Self::BuiltIn(name) => name.to_string(),
+            Self::File(path) => path.display().to_string(),
+        }
+    }
 }
 
 impl std::fmt::Display for Source {

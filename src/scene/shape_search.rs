@@ -6,7 +6,8 @@
 
 use super::around_shapes::AroundShapes;
 use crate::config::custom::Part;
-use crate::config::scene::Config;
+use crate::config::scene::{Config, ObjectiveKind};
+use crate::design::parametrisations::numbers::Numbers;
 use crate::design::sqp::{Limited, Point, Sqp};
 use crate::error::Error;
 use crate::numerics::interrupt;
@@ -50,7 +51,7 @@ const SETTLED: f64 = 2e-4;
 
 /// The limits of the configuration as functions that are at most 0, or 0.
 struct Limit {
-    kind: crate::config::scene::ObjectiveKind,
+    kind: ObjectiveKind,
     shapes: Vec<usize>,
     /// +1 for `at_most`, -1 for `at_least`.
     sign: f64,
@@ -86,7 +87,7 @@ pub struct Search<'a> {
     limits: Vec<Limit>,
     /// The objective of the first design, in which the others are measured.
     unit: f64,
-    lower: Vec<f64>,
+    numbers: Numbers,
     width: Vec<f64>,
 }
 
@@ -95,49 +96,14 @@ impl<'a> Search<'a> {
     /// Shapes that cannot be resolved.
     pub fn new(config: &'a Config) -> Result<Self, Error> {
         let around = AroundShapes::new(config)?;
-        let lower = config.variables.iter().map(|variable| variable.lower).collect();
         let width = config.variables.iter().map(|variable| variable.upper - variable.lower).collect();
-        Ok(Self { config, around, limits: limits(config), unit: 0.0, lower, width })
-    }
-
-    /// The variables of the first design, between 0 and 1.
-    fn first(&self) -> Vec<f64> {
-        self.around
-            .first()
-            .iter()
-            .enumerate()
-            .map(|(k, x)| ((x - self.lower[k]) / self.width[k]).clamp(0.0, 1.0))
-            .collect()
-    }
-
-    fn values(&self, x: &[f64]) -> Vec<f64> {
-        let value = |(k, x): (usize, &f64)| {
-            // Rounding must not lead out of the limits.
-            (self.lower[k] + x * self.width[k]).clamp(self.lower[k], self.config.variables[k].upper)
-        };
-        x.iter().enumerate().map(value).collect()
-    }
-
-    /// The configuration with other numbers.
-    pub fn with(&self, variables: &[f64]) -> Config {
-        let mut config = self.config.clone();
-        for (number, x) in self.config.shape_numbers().iter().zip(variables) {
-            if let Some(it) = number.of(&mut config.shapes) {
-                *it = *x;
-            }
-        }
-        config
+        Ok(Self { config, around, limits: limits(config), unit: 0.0, numbers: Numbers::of_config(config), width })
     }
 
     /// How far each variable may move in a round, in its width.
     fn trust(&self) -> Vec<f64> {
         let cloud = &self.around.flow.cloud;
-        let size = |shape: usize| {
-            let polygon = &cloud.places.polygons[shape];
-            let n = polygon.len();
-            let cross = |k: usize| polygon[k][0] * polygon[(k + 1) % n][1] - polygon[k][1] * polygon[(k + 1) % n][0];
-            (0.5 * (0..n).map(cross).sum::<f64>().abs() / PI).sqrt()
-        };
+        let size = |shape: usize| (cloud.places.polygons[shape].area() / PI).sqrt();
         let of = |(k, &(shape, number)): (usize, &(usize, usize))| {
             let most = match cloud.ground.outlines[shape].parts[number] {
                 Part::Angle => TRUST * 180.0 / PI,
@@ -150,13 +116,13 @@ impl<'a> Search<'a> {
 
     /// Objective, limits and their derivatives at variables between 0 and 1.
     fn judge(&mut self, x: &[f64]) -> Result<(f64, Point), Error> {
-        let variables = self.values(x);
+        let variables = self.numbers.values(x);
         let solution = self.around.solve(&variables)?;
         let (objective, terms) = self.around.objective(&solution);
         if self.unit == 0.0 {
             self.unit = objective.abs().max(f64::MIN_POSITIVE);
         }
-        let factor = -self.around.sign() / self.unit;
+        let factor = self.factor();
         let scaled = |gradient: Vec<f64>, factor: f64, width: &[f64]| -> Vec<f64> {
             gradient.iter().zip(width).map(|(g, width)| factor * g * width).collect()
         };
@@ -167,7 +133,7 @@ impl<'a> Search<'a> {
             let (value, by) = match self.around.of_shapes(kind, shapes, &variables) {
                 Some(judged) => (judged.value, judged.by_variables),
                 None => {
-                    let (value, terms) = self.around.of_limit(&solution, kind, &shapes.clone());
+                    let (value, terms) = self.around.terms(&solution, kind, shapes);
                     (value, self.around.gradient(&solution, &terms)?)
                 }
             };
@@ -188,7 +154,7 @@ impl<'a> Search<'a> {
     pub fn run(&mut self, epochs: usize, watch: &mut dyn FnMut(&Epoch, usize)) -> Result<Found, Error> {
         let mut history: Vec<Epoch> = vec![];
         let (mut best, mut jump, mut converged) = (0, 0.0f64, false);
-        let first = self.first();
+        let first = self.numbers.start();
         let bounds = |x: &[f64], trust: &[f64]| -> (Vec<f64>, Vec<f64>) {
             let of = |sign: f64| x.iter().zip(trust).map(|(x, t)| (x + sign * t).clamp(0.0, 1.0)).collect();
             (of(-1.0), of(1.0))
@@ -200,7 +166,7 @@ impl<'a> Search<'a> {
             let clock = Instant::now();
             let x = sqp.ask().to_vec();
             let found = self.judge(&x);
-            let variables = self.values(&x);
+            let variables = self.numbers.values(&x);
             let mut epoch = Epoch {
                 variables,
                 objective: f64::NAN,
@@ -226,8 +192,7 @@ impl<'a> Search<'a> {
             };
             epoch.seconds = clock.elapsed().as_secs_f64();
             if !of_last_round.is_nan() && history.last().is_some_and(|last| last.round < round) {
-                let there: f64 = of_last_round;
-                jump = jump.max((epoch.objective / there - 1.0).abs());
+                jump = f64::max(jump, (epoch.objective / of_last_round - 1.0).abs());
             }
             let sign = self.around.sign();
             let rank = |epoch: &Epoch| {
@@ -252,7 +217,7 @@ impl<'a> Search<'a> {
                 }
                 of_last_round = now;
                 // Particles are placed anew around the shapes where they are.
-                let placed = self.with(&self.values(&at.x));
+                let placed = self.config.with_shape_values(&self.numbers.values(&at.x));
                 match AroundShapes::new(&placed) {
                     Ok(around) => self.around = around,
                     Err(error) => {
@@ -268,6 +233,7 @@ impl<'a> Search<'a> {
         Ok(Found { history, best, jump, converged, stopped })
     }
 
+    /// What makes an objective a number of about 1 that is to become smaller.
     fn factor(&self) -> f64 {
         -self.around.sign() / self.unit
     }

@@ -281,12 +281,7 @@ fn rounded(x: f64) -> String {
 /// The settings of a wall, or of shapes.
 pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
     if config.scene == Family::Custom {
-        let mut changed = config.clone();
-        for (number, value) in config.shape_numbers().iter().zip(&wall.offsets) {
-            if let Some(it) = number.of(&mut changed.shapes) {
-                *it = *value;
-            }
-        }
+        let changed = config.with_shape_values(&wall.offsets);
         let shapes = values(&changed).into_iter().filter(|(path, _)| path == "shapes");
         return shapes.map(|(path, value)| Setting::set(&format!("{path}={value}"))).collect();
     }

@@ -7,6 +7,7 @@ pub mod differences;
 pub mod final_sum;
 pub mod jax_sph;
 pub mod lanes;
+pub mod noise;
 pub mod program;
 pub mod random_scene;
 pub mod standard;

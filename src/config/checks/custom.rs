@@ -260,6 +260,23 @@ impl Config {
         self.variables.iter().filter_map(named).collect()
     }
 
+    /// The values of these numbers.
+    pub fn shape_values(&self) -> Vec<f64> {
+        let mut shapes = self.shapes.clone();
+        self.shape_numbers().iter().filter_map(|number| number.of(&mut shapes).copied()).collect()
+    }
+
+    /// The configuration with other values of these numbers.
+    pub fn with_shape_values(&self, values: &[f64]) -> Self {
+        let mut changed = self.clone();
+        for (number, value) in self.shape_numbers().iter().zip(values) {
+            if let Some(it) = number.of(&mut changed.shapes) {
+                *it = *value;
+            }
+        }
+        changed
+    }
+
     /// Checks the variables: the numbers exist, the shapes allow their limits, and there is an objective.
     pub(super) fn check_variables(&self) -> Result<(), BadInput> {
         let (dimension, has_heat) = (self.dimension(), self.initial.temperature.is_some());

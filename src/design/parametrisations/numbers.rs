@@ -4,6 +4,8 @@
 //! "heights" of this parametrisation are the changes of the numbers from their initial values.
 
 use super::{ColumnAverages, Parametrisation, Variables};
+use crate::config::custom::VariableEntry;
+use crate::config::scene::Config;
 use crate::design::limits::Limits;
 use crate::design::shape::Shape;
 
@@ -17,6 +19,12 @@ pub struct Numbers {
 }
 
 impl Numbers {
+    /// The variables of a configuration.
+    pub fn of_config(config: &Config) -> Self {
+        let limits = |of: fn(&VariableEntry) -> f64| config.variables.iter().map(of).collect();
+        Self::new(config.shape_values(), limits(|variable| variable.lower), limits(|variable| variable.upper))
+    }
+
     pub fn new(first: Vec<f64>, lower: Vec<f64>, upper: Vec<f64>) -> Self {
         let count = first.len();
         let width = |k: usize| vec![(k, upper[k] - lower[k])];

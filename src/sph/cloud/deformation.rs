@@ -27,11 +27,8 @@ impl Deformation {
         inside: usize,
         threads: usize,
     ) -> Result<Self, Singular> {
-        let n = stencils.particles;
-        let mut matrix = BlockMatrix::of_lists(n, 1, |i| {
-            (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect()
-        });
-        for i in 0..n {
+        let mut matrix = stencils.matrix(1);
+        for i in 0..stencils.particles {
             let diagonal = matrix.entry(i, i as u32);
             if i >= inside {
                 matrix.values[diagonal] = 1.0;
@@ -49,13 +46,6 @@ impl Deformation {
         Ok(Self { inside, matrix, lu })
     }
 
-    fn solve(&self, right: &[f64], transposed: bool) -> Vec<f64> {
-        let mut x = self.lu.solve(right, transposed);
-        let rest: Vec<f64> = right.iter().zip(self.matrix.times(&x, transposed)).map(|(r, p)| r - p).collect();
-        x.iter_mut().zip(self.lu.solve(&rest, transposed)).for_each(|(x, more)| *x += more);
-        x
-    }
-
     /// The displacement of all particles `[N]` along a direction, given that of the boundary `[N - inside]`.
     pub fn displacement(&self, boundary: &[f64]) -> Vec<f64> {
         if boundary.iter().all(|&x| x == 0.0) {
@@ -63,11 +53,11 @@ impl Deformation {
         }
         let mut right = vec![0.0; self.inside];
         right.extend_from_slice(boundary);
-        self.solve(&right, false)
+        self.lu.refined(&self.matrix, &right, false)
     }
 
     /// The adjoint: cotangents of the boundary's displacement, given those of all.
     pub fn pull_back(&self, bar: &[f64]) -> Vec<f64> {
-        self.solve(bar, true)[self.inside..].to_vec()
+        self.lu.refined(&self.matrix, bar, true)[self.inside..].to_vec()
     }
 }

@@ -98,14 +98,6 @@ impl Equations {
         self.conditions.iter().any(|condition| matches!(condition.motion, Motion::Outflow(_)))
     }
 
-    pub fn operators(&self, position: &[Vec<f64>; 2]) -> Operators {
-        let heat = match self.diffusivity {
-            Some(_) => self.heat.coefficients(position),
-            None => Coefficients::default(),
-        };
-        Operators { flow: self.flow.coefficients(position), heat }
-    }
-
     /// Derivatives of the flow's fields, and of the temperature if `heat`.
     pub fn derivatives(&self, operators: &Operators, state: &State, heat: bool) -> Derivatives {
         let n = self.particles();

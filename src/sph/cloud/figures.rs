@@ -49,8 +49,6 @@ struct Sample {
 #[derive(Debug)]
 pub struct Measures {
     section: Vec<Sample>,
-    /// Of the cross-section.
-    pub section_at: f64,
     /// Indices of boundary points by shape.
     points: Vec<Vec<usize>>,
     /// Boundary points that belong to no body.
@@ -169,7 +167,7 @@ impl Measures {
         }
         let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
         let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
-        Self { section, section_at, points, rest, share, centre, centre_numbers, inside, base_area, size, periodic_x }
+        Self { section, points, rest, share, centre, centre_numbers, inside, base_area, size, periodic_x }
     }
 
     /// Whether a shape has a point on the boundary of the fluid.
@@ -478,24 +476,22 @@ impl Measures {
 /// The flow rate for a drive that holds it.
 pub struct Rate<'a> {
     pub measures: &'a Measures,
-    pub equations: &'a Equations,
     pub shaped: &'a Shaped,
 }
 
 impl FlowRate for Rate<'_> {
-    fn value(&self, state: &State, d: &Derivatives) -> f64 {
-        let at = At { equations: self.equations, shaped: self.shaped, state, d };
-        self.measures.value(Figure::FlowRate, &at)
+    fn value(&self, equations: &Equations, state: &State, d: &Derivatives) -> f64 {
+        self.measures.value(Figure::FlowRate, &At { equations, shaped: self.shaped, state, d })
     }
 
-    fn by_state(&self, operators: &Operators) -> Vec<f64> {
-        let n = self.equations.particles();
+    fn by_state(&self, equations: &Equations, operators: &Operators) -> Vec<f64> {
+        let n = equations.particles();
         let state = State::at_rest(n);
         let d = Derivatives(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; n]));
-        let at = At { equations: self.equations, shaped: self.shaped, state: &state, d: &d };
+        let at = At { equations, shaped: self.shaped, state: &state, d: &d };
         let mut bar = Bar::new(n, self.shaped.area.len());
         self.measures.pull_back(Figure::FlowRate, &at, 1.0, &mut bar);
-        let fields = self.equations.by_fields(operators, &bar);
+        let fields = equations.by_fields(operators, &bar);
         (0..3 * n).map(|k| fields[k % 3][k / 3]).collect()
     }
 }

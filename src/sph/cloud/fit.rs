@@ -21,6 +21,7 @@
 
 use super::nearest::Plane;
 use crate::numerics::lanes::{Lanes, WIDEST};
+use crate::numerics::sparse_lu::BlockMatrix;
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, pull_back, solve, values};
 
@@ -66,6 +67,12 @@ pub fn field(fields: usize, i: usize, k: usize) -> usize {
 }
 
 impl Stencils {
+    /// A matrix of zeros for equations of `size` fields at the particles, in which those of each contain its neighbours.
+    pub fn matrix(&self, size: usize) -> BlockMatrix {
+        let neighbours = |i: usize| (0..self.neighbours).map(|k| self.neighbour(i, k) as u32).collect();
+        BlockMatrix::of_lists(self.particles, size, neighbours)
+    }
+
     /// The stencils of particles at `places`, given the distance and number of those `near` each, nearest first.
     ///
     /// # Errors

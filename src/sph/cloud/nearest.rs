@@ -49,11 +49,63 @@ impl Plane {
     }
 }
 
+/// The division of a plane into cells that are at least of a width.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Cells {
+    pub plane: Plane,
+    counts: [usize; 2],
+}
+
+impl Cells {
+    pub fn new(plane: Plane, width: f64) -> Self {
+        Self { plane, counts: std::array::from_fn(|d| ((plane.size[d] / width) as usize).clamp(1, 4096)) }
+    }
+
+    pub fn count(&self) -> usize {
+        self.counts[0] * self.counts[1]
+    }
+
+    /// Column and row of the cell of a place; of the nearest one outside of the box.
+    pub fn index(&self, p: [f64; 2]) -> [i64; 2] {
+        std::array::from_fn(|d| {
+            let k = (p[d] / self.plane.size[d] * self.counts[d] as f64).floor() as i64;
+            k.clamp(0, self.counts[d] as i64 - 1)
+        })
+    }
+
+    /// The cell at a column and row, or its periodic image; none outside of the box.
+    pub fn at(&self, index: [i64; 2]) -> Option<usize> {
+        let along = |d: usize| {
+            let (k, count) = (index[d], self.counts[d] as i64);
+            let k = if self.plane.periodic[d] { k.rem_euclid(count) } else { k };
+            (0..count).contains(&k).then_some(k as usize)
+        };
+        Some(along(0)? * self.counts[1] + along(1)?)
+    }
+
+    /// The cell of a place.
+    pub fn of(&self, p: [f64; 2]) -> usize {
+        let [i, j] = self.index(p);
+        i as usize * self.counts[1] + j as usize
+    }
+
+    /// Whether cells that are this many columns and rows from each other are no nearer the other way round.
+    fn is_nearest_image(&self, steps: [i64; 2]) -> bool {
+        (0..2).all(|d| {
+            let count = self.counts[d] as i64;
+            !self.plane.periodic[d] || 2 * steps[d].abs() < count || 2 * steps[d] == count
+        })
+    }
+
+    fn width(&self) -> f64 {
+        (0..2).map(|d| self.plane.size[d] / self.counts[d] as f64).fold(f64::MAX, f64::min)
+    }
+}
+
 /// Places sorted into cells.
 #[derive(Debug)]
 pub struct Nearest {
-    plane: Plane,
-    counts: [usize; 2],
+    cells: Cells,
     /// First member of each cell.
     first: Vec<u32>,
     members: Vec<u32>,
@@ -63,33 +115,20 @@ pub struct Nearest {
 impl Nearest {
     /// Sorts places, which are within the box or just outside of sides that are not periodic, into cells of a width.
     pub fn new(plane: Plane, width: f64, places: &[[f64; 2]]) -> Self {
-        let counts: [usize; 2] = std::array::from_fn(|d| ((plane.size[d] / width) as usize).clamp(1, 4096));
-        let mut all = Self { plane, counts, first: vec![], members: vec![], places: places.to_vec() };
-        let cells: Vec<usize> = places.iter().map(|p| all.cell(*p)).collect();
-        all.first = vec![0; counts[0] * counts[1] + 1];
-        cells.iter().for_each(|&cell| all.first[cell + 1] += 1);
-        for cell in 1..all.first.len() {
-            all.first[cell] += all.first[cell - 1];
+        let cells = Cells::new(plane, width);
+        let own: Vec<usize> = places.iter().map(|p| cells.of(*p)).collect();
+        let mut first = vec![0; cells.count() + 1];
+        own.iter().for_each(|&cell| first[cell + 1] += 1);
+        for cell in 1..first.len() {
+            first[cell] += first[cell - 1];
         }
-        let mut next = all.first.clone();
-        all.members = vec![0; places.len()];
-        for (i, &cell) in cells.iter().enumerate() {
-            all.members[next[cell] as usize] = i as u32;
+        let mut next = first.clone();
+        let mut members = vec![0; places.len()];
+        for (i, &cell) in own.iter().enumerate() {
+            members[next[cell] as usize] = i as u32;
             next[cell] += 1;
         }
-        all
-    }
-
-    fn index(&self, p: [f64; 2]) -> [i64; 2] {
-        std::array::from_fn(|d| {
-            let k = (p[d] / self.plane.size[d] * self.counts[d] as f64).floor() as i64;
-            k.clamp(0, self.counts[d] as i64 - 1)
-        })
-    }
-
-    fn cell(&self, p: [f64; 2]) -> usize {
-        let [i, j] = self.index(p);
-        i as usize * self.counts[1] + j as usize
+        Self { cells, first, members, places: places.to_vec() }
     }
 
     /// The members of the cells in the ring of a width around a cell; none when no such cell is left.
@@ -97,23 +136,13 @@ impl Nearest {
         let mut any = false;
         for i in -ring..=ring {
             let step = if i.abs() == ring { 1 } else { (2 * ring).max(1) };
-            let mut j = -ring;
-            while j <= ring {
-                let at: [Option<i64>; 2] = std::array::from_fn(|d| {
-                    let (k, count) = (centre[d] + [i, j][d], self.counts[d] as i64);
-                    match self.plane.periodic[d] {
-                        // Every cell once, also where rings are wider than the box.
-                        true if 2 * [i, j][d].abs() < count || 2 * [i, j][d] == count => Some(k.rem_euclid(count)),
-                        true => None,
-                        false => (0..count).contains(&k).then_some(k),
-                    }
-                });
-                if let [Some(a), Some(b)] = at {
+            for j in (-ring..=ring).step_by(step as usize) {
+                // Every cell once, also where rings are wider than the box.
+                let cell = self.cells.at([centre[0] + i, centre[1] + j]);
+                if let Some(cell) = cell.filter(|_| self.cells.is_nearest_image([i, j])) {
                     any = true;
-                    let cell = a as usize * self.counts[1] + b as usize;
                     found.extend_from_slice(&self.members[self.first[cell] as usize..self.first[cell + 1] as usize]);
                 }
-                j += step;
             }
         }
         any
@@ -126,8 +155,7 @@ impl Nearest {
 
     /// Those of [`Self::of`] that are at most `most` away.
     fn within(&self, p: [f64; 2], count: usize, most: f64, wanted: impl Fn(usize, f64) -> bool) -> Vec<(f64, u32)> {
-        let width = (0..2).map(|d| self.plane.size[d] / self.counts[d] as f64).fold(f64::MAX, f64::min);
-        let centre = self.index(p);
+        let (width, centre) = (self.cells.width(), self.cells.index(p));
         let mut chosen: Vec<(f64, u32)> = Vec::with_capacity(count);
         // Found, but perhaps not the next nearest.
         let mut waiting: Vec<(f64, u32)> = vec![];
@@ -135,7 +163,7 @@ impl Nearest {
         for ring in 0.. {
             members.clear();
             let any = self.ring(centre, ring, &mut members);
-            waiting.extend(members.iter().map(|&i| (self.plane.distance(p, self.places[i as usize]), i)));
+            waiting.extend(members.iter().map(|&i| (self.cells.plane.distance(p, self.places[i as usize]), i)));
             // All within this distance are found.
             let certain = if any { ring as f64 * width } else { f64::INFINITY };
             let mut ready: Vec<(f64, u32)> =

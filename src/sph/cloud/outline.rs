@@ -468,13 +468,17 @@ pub fn is_inside([x, y]: [f64; 2], points: &[[f64; 2]]) -> bool {
 }
 
 /// Area inside of a closed line of points, positive if it runs counter-clockwise.
-pub fn area(points: &[OnOutline<f64>]) -> f64 {
-    let n = points.len();
+pub fn area<S: Scalar>(points: &[OnOutline<S>]) -> S {
+    area_within(points.len(), |k| points[k].place)
+}
+
+/// The area within a polygon, positive if it runs counter-clockwise, given its corners.
+pub(super) fn area_within<S: Scalar>(corners: usize, corner: impl Fn(usize) -> [S; 2]) -> S {
     let cross = |k: usize| {
-        let (a, b) = (points[k].place, points[(k + 1) % n].place);
+        let (a, b) = (corner(k), corner((k + 1) % corners));
         a[0] * b[1] - a[1] * b[0]
     };
-    0.5 * (0..n).map(cross).sum::<f64>()
+    S::of(0.5) * (0..corners).map(cross).fold(S::of(0.0), |sum, part| sum + part)
 }
 
 /// The second derivatives at n equal knots of a periodic cubic spline, by the values there, `[n, n]`:

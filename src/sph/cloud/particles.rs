@@ -294,15 +294,6 @@ impl Cloud {
         Ok(())
     }
 
-    /// The largest displacement of a point of the boundary, in its spacing.
-    pub fn largest_move(&self, shaped: &Shaped) -> f64 {
-        let of = |i: usize| {
-            let p = self.places.place[i];
-            (shaped.position[0][i] - p[0]).hypot(shaped.position[1][i] - p[1]) / self.places.spacing[i]
-        };
-        (self.places.inside..self.particles()).map(of).fold(0.0, f64::max)
-    }
-
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary.
     pub fn by_numbers(
         &self,

@@ -9,8 +9,8 @@
 //!   x_i += h_i / 4 sum_j (1 - r / R)^2 r_ij / r,   R = 0.8 (h_i + h_j).
 //! ```
 
-use super::nearest::{Nearest, Plane};
-use super::outline::{area, is_inside, OnOutline, Outline};
+use super::nearest::{Cells, Nearest, Plane};
+use super::outline::{area, area_within, is_inside, OnOutline, Outline};
 
 /// What the cloud is made of: outlines of bodies and walls in a box.
 #[derive(Debug, Clone)]
@@ -106,6 +106,10 @@ impl Polygon {
         Self { points, low, high }
     }
 
+    pub fn area(&self) -> f64 {
+        area_within(self.points.len(), |k| self.points[k]).abs()
+    }
+
     /// Whether a point is inside.
     pub fn contains(&self, p: [f64; 2]) -> bool {
         let may = (0..2).all(|d| p[d] >= self.low[d] && p[d] <= self.high[d]);
@@ -189,7 +193,7 @@ impl Ground {
                 let lengths = lengths(points);
                 let spacing = self.surface_spacing(points, &lengths);
                 self.check_thickness(k, points, &spacing)?;
-                put(spread(samples, &lengths, &spacing, true, 0.0), &mut surface);
+                put(spread(samples, &lengths, &spacing, true, 0.0, 1.0), &mut surface);
                 self.layers(points, &lengths, &spacing, &mut layers, &mut near);
                 continue;
             }
@@ -216,7 +220,8 @@ impl Ground {
                 let spacing = if is_straight { vec![dx; on.len()] } else { self.surface_spacing(&on, &length) };
                 // A wall along a period begins where the lattice does.
                 let is_period = (0..2).any(|d| plane.periodic[d] && (total / plane.size[d] - 1.0).abs() < 1e-6);
-                put(spread(&parameters, &length, &spacing, false, if is_period { 0.0 } else { 0.5 }), &mut surface);
+                let offset = if is_period { 0.0 } else { 0.5 };
+                put(spread(&parameters, &length, &spacing, false, offset, 1.0), &mut surface);
                 if !is_straight {
                     self.layers(&on, &length, &spacing, &mut layers, &mut near);
                 }
@@ -380,7 +385,7 @@ impl Ground {
             let steps: Vec<f64> = (0..n).map(|k| if k + 1 == n && !is_closed { 0.0 } else { step(k) }).collect();
             let index: Vec<f64> = (0..n).map(|k| k as f64).collect();
             let offset = if layer % 2 == 1 { 0.5 } else { 0.0 };
-            for (at, _, h) in spread_over(&index, &steps, &spacing, is_closed, offset, n as f64) {
+            for (at, _, h) in spread(&index, &steps, &spacing, is_closed, offset, n as f64) {
                 let (k, share) = (at as usize % n, at.fract());
                 if !end[k].is_nan() {
                     continue;
@@ -638,14 +643,9 @@ fn stretches(free: &[bool]) -> Vec<(usize, usize)> {
     found
 }
 
-/// [`spread_over`] on a closed curve of parameters in [0, 1), or on a part of one.
-fn spread(parameters: &[f64], lengths: &[f64], spacing: &[f64], closed: bool, offset: f64) -> Vec<(f64, f64, f64)> {
-    spread_over(parameters, lengths, spacing, closed, offset, 1.0)
-}
-
 /// Points along a line whose samples are `lengths` apart, each about `spacing` from the next: parameter, its change per
 /// point, and the spacing there. `period`: of the parameter, on a closed line.
-fn spread_over(
+fn spread(
     parameters: &[f64],
     lengths: &[f64],
     spacing: &[f64],
@@ -683,41 +683,25 @@ fn spread_over(
 
 /// Places that are added one by one, by cells.
 struct Growing {
-    plane: Plane,
-    counts: [usize; 2],
+    cells: Cells,
     members: Vec<Vec<[f64; 2]>>,
 }
 
 impl Growing {
     fn new(plane: Plane, width: f64) -> Self {
-        let counts: [usize; 2] = std::array::from_fn(|d| ((plane.size[d] / width) as usize).clamp(1, 4096));
-        Self { plane, counts, members: vec![vec![]; counts[0] * counts[1]] }
-    }
-
-    fn index(&self, p: [f64; 2], d: usize) -> i64 {
-        ((p[d] / self.plane.size[d] * self.counts[d] as f64) as i64).clamp(0, self.counts[d] as i64 - 1)
+        let cells = Cells::new(plane, width);
+        Self { cells, members: vec![vec![]; cells.count()] }
     }
 
     fn add(&mut self, p: [f64; 2]) {
-        let cell = self.index(p, 0) as usize * self.counts[1] + self.index(p, 1) as usize;
-        self.members[cell].push(p);
+        self.members[self.cells.of(p)].push(p);
     }
 
     /// Whether a place is within a distance of at most the cells' width.
     fn has_within(&self, p: [f64; 2], distance: f64) -> bool {
-        let (i, j) = (self.index(p, 0), self.index(p, 1));
-        (-1..=1).any(|a| {
-            (-1..=1).any(|b| {
-                let cell: [Option<usize>; 2] = std::array::from_fn(|d| {
-                    let (k, count) = ([i + a, j + b][d], self.counts[d] as i64);
-                    match self.plane.periodic[d] {
-                        true => Some(k.rem_euclid(count) as usize),
-                        false => (0..count).contains(&k).then_some(k as usize),
-                    }
-                });
-                let [Some(x), Some(y)] = cell else { return false };
-                self.members[x * self.counts[1] + y].iter().any(|q| self.plane.distance(p, *q) < distance)
-            })
-        })
+        let [i, j] = self.cells.index(p);
+        let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| [i + a, j + b]));
+        let members = around.filter_map(|index| self.cells.at(index)).flat_map(|cell| &self.members[cell]);
+        members.into_iter().any(|q| self.cells.plane.distance(p, *q) < distance)
     }
 }

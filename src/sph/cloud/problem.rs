@@ -99,8 +99,7 @@ impl SteadyFlow {
     }
 
     fn settle(&mut self, shaped: &Shaped, state: &mut State) -> Result<(), NoSteadyState> {
-        let equations = self.solver.equations.clone();
-        let rate = Rate { measures: &self.measures, equations: &equations, shaped };
+        let rate = Rate { measures: &self.measures, shaped };
         let held = self.held.as_ref().map(|held| (held, &rate as _));
         self.solver.settle(&shaped.operators, state, held)
     }
@@ -112,8 +111,7 @@ impl SteadyFlow {
     pub fn growth(&mut self, solution: &Solution, rate: f64) -> Result<Option<(f64, f64)>, NoSolution> {
         let Solution { shaped, state, .. } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
-        let equations = self.solver.equations.clone();
-        let flow_rate = Rate { measures: &self.measures, equations: &equations, shaped };
+        let flow_rate = Rate { measures: &self.measures, shaped };
         let held = self.held.as_ref().map(|held| (held, &flow_rate as _));
         let found = self.solver.growth(&shaped.operators, state, held, rate);
         Ok(found.map_err(NoSteadyState::from)?)
@@ -141,19 +139,18 @@ impl SteadyFlow {
     ) -> Result<Vec<f64>, NoSolution> {
         let Solution { shaped, state, derivatives } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
-        let equations = self.solver.equations.clone();
-        let n = equations.particles();
-        let at = At { equations: &equations, shaped, state, d: derivatives };
+        let n = self.cloud.particles();
         let mut bar = Bar::new(n, shaped.area.len());
         for &(figure, weight) in terms {
-            self.measures.pull_back(figure, &at, weight, &mut bar);
+            self.measures.pull_back(figure, &self.at(solution), weight, &mut bar);
         }
-        let fields = equations.by_fields(&shaped.operators, &bar);
-        let rate = Rate { measures: &self.measures, equations: &equations, shaped };
+        let fields = self.solver.equations.by_fields(&shaped.operators, &bar);
+        let rate = Rate { measures: &self.measures, shaped };
         let held = self.held.as_ref().map(|held| (held, &rate as _));
         let (flow, heat) = self.solver.adjoint(&shaped.operators, state, &fields, bar.drive, held)?;
         let against: Vec<f64> = flow[..3 * n].iter().map(|x| -x).collect();
         let heat = heat.map(|heat| heat.iter().map(|x| -x).collect::<Vec<f64>>());
+        let equations = &self.solver.equations;
         equations.pull_back(state, derivatives, &against, heat.as_deref(), &mut bar);
         if let (Some(held), Some(multiplier)) = (&self.held, flow.last()) {
             // The held flow rate depends on the positions too.
@@ -161,7 +158,7 @@ impl SteadyFlow {
                 Held::FlowRate(_) => 1.0,
                 Held::Power { .. } => equations.force[0] + state.drive,
             };
-            self.measures.pull_back(Figure::FlowRate, &at, -multiplier * factor, &mut bar);
+            self.measures.pull_back(Figure::FlowRate, &self.at(solution), -multiplier * factor, &mut bar);
         }
         let positions = equations.by_positions(&shaped.position, state, &bar);
         Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted))

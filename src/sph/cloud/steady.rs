@@ -14,7 +14,7 @@
 use super::equations::{Derivatives, Equations, Operators, State};
 use crate::numerics::eigenvalues::outermost;
 use crate::numerics::krylov::gmres;
-use crate::numerics::sparse_lu::{dot, BlockMatrix, Order, Singular, SparseLu};
+use crate::numerics::sparse_lu::{dot, refined, BlockMatrix, Order, Singular, SparseLu};
 use num_complex::Complex64;
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -47,8 +47,8 @@ pub enum Held {
 
 /// The flow rate as a linear function of the state: its value and derivative by u, v, p, `[N, 3]`.
 pub trait FlowRate: Sync {
-    fn value(&self, state: &State, d: &Derivatives) -> f64;
-    fn by_state(&self, operators: &Operators) -> Vec<f64>;
+    fn value(&self, equations: &Equations, state: &State, d: &Derivatives) -> f64;
+    fn by_state(&self, equations: &Equations, operators: &Operators) -> Vec<f64>;
 }
 
 /// Steps of Newton's method before it is given up.
@@ -146,14 +146,10 @@ impl Factors {
 
     /// (A + e e^T)^-1 b or its transpose, with one step of refinement if it shall be exact.
     fn inner(&self, b: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
-        let mut x = self.lu.solve(b, transposed);
-        if !exact {
-            return x;
+        match exact {
+            true => self.lu.refined(&self.matrix, b, transposed),
+            false => self.lu.solve(b, transposed),
         }
-        let product = self.matrix.times(&x, transposed);
-        let rest: Vec<f64> = b.iter().zip(&product).map(|(b, p)| b - p).collect();
-        x.iter_mut().zip(self.lu.solve(&rest, transposed)).for_each(|(x, more)| *x += more);
-        x
     }
 
     fn rows(&self) -> &Vec<Vec<f64>> {
@@ -201,13 +197,7 @@ impl Factors {
 impl Solver {
     /// A solver for particles at these places of the reference cloud.
     pub fn new(equations: Equations, places: &[[f64; 2]], threads: usize) -> Self {
-        let n = equations.particles();
-        let lists = |stencils: &super::fit::Stencils, size: usize| {
-            BlockMatrix::of_lists(n, size, |i| {
-                (0..stencils.neighbours).map(|k| stencils.neighbour(i, k) as u32).collect()
-            })
-        };
-        let (flow, heat) = (lists(&equations.flow, 3), lists(&equations.heat, 1));
+        let (flow, heat) = (equations.flow.matrix(3), equations.heat.matrix(1));
         let flow_order = Arc::new(Order::new(&flow, |i| places[i]));
         let heat_order = match equations.diffusivity {
             Some(_) => Arc::new(Order::new(&heat, |i| places[i])),
@@ -234,19 +224,17 @@ impl Solver {
         if let Some((held, rate)) = held {
             let column = (0..3 * n).map(|k| if k % 3 == 0 && k / 3 < equations.inside { -1.0 } else { 0.0 });
             border.columns.push(column.collect());
-            let mut row = rate.by_state(operators);
+            let mut row = rate.by_state(equations, operators);
             if let Held::Power { .. } = held {
                 let push = equations.force[0] + state.drive;
                 row.iter_mut().for_each(|x| *x *= push);
             }
             border.rows.push(row);
-            let m = border.rows.len();
-            border.corner = vec![vec![0.0; m]; m];
-            if let Held::Power { .. } = held {
-                border.corner[m - 1][m - 1] = rate.value(state, d);
-            }
-        } else {
-            border.corner = vec![vec![0.0; border.rows.len()]; border.rows.len()];
+        }
+        let m = border.rows.len();
+        border.corner = vec![vec![0.0; m]; m];
+        if let Some((Held::Power { .. }, rate)) = held {
+            border.corner[m - 1][m - 1] = rate.value(equations, state, d);
         }
         border
     }
@@ -258,7 +246,7 @@ impl Solver {
             residual.push(state.fields[2][PIN / 3]);
         }
         if let Some((held, rate)) = held {
-            let flow = rate.value(state, d);
+            let flow = rate.value(&self.equations, state, d);
             residual.push(match held {
                 Held::FlowRate(wanted) => flow - wanted,
                 Held::Power { power, length } => (self.equations.force[0] + state.drive) * flow - power / length,
@@ -309,13 +297,12 @@ impl Solver {
         self.counts.factorisations += 1;
         let factors = Factors::new(&self.flow_order, &self.flow, border, self.threads)?;
         self.counts.bytes = factors.lu.bytes();
-        let mut x = factors.solve(right, transposed, true);
-        if transposed {
+        let exact = |r: &[f64]| factors.solve(r, transposed, true);
+        let x = match transposed {
             // An adjoint must be right to rounding.
-            let product = self.times(border, &x, transposed);
-            let rest: Vec<f64> = right.iter().zip(&product).map(|(r, p)| r - p).collect();
-            x.iter_mut().zip(factors.solve(&rest, transposed, false)).for_each(|(x, more)| *x += more);
-        }
+            true => refined(right, |x| self.times(border, x, true), exact, |r| factors.solve(r, true, false)),
+            false => exact(right),
+        };
         self.factors = Some(factors);
         Ok(x)
     }
@@ -333,7 +320,8 @@ impl Solver {
         let n = self.equations.particles();
         // The first factors are those of a flow at rest, which are of no use for the next step.
         let is_cold = self.factors.is_none();
-        let mut scale = 0.0;
+        // The residual of the first state.
+        let mut scale = None;
         let mut last = f64::INFINITY;
         for step in 0..STEPS {
             let d = self.equations.derivatives(operators, state, false);
@@ -342,11 +330,7 @@ impl Solver {
             if !largest.is_finite() || largest > 1e12 {
                 return Err(NoSteadyState::Diverged { residual: largest });
             }
-            scale = if step == 0 {
-                largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE)
-            } else {
-                f64::max(scale, f64::MIN_POSITIVE)
-            };
+            let scale = *scale.get_or_insert(largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE));
             // Below this rounding of second derivatives may keep it from falling.
             if largest <= TOLERANCE * scale || (largest <= 1e-8 * scale && largest > 0.2 * last) {
                 return self.settle_heat(operators, state);
@@ -408,10 +392,7 @@ impl Solver {
             if bar[3].iter().any(|&x| x != 0.0) {
                 self.equations.heat_matrix(state, operators, &mut self.heat);
                 let lu = SparseLu::new(&self.heat_order, &self.heat, self.threads)?;
-                let mut y = lu.solve(&bar[3], true);
-                let product = self.heat.times(&y, true);
-                let rest: Vec<f64> = bar[3].iter().zip(&product).map(|(b, p)| b - p).collect();
-                y.iter_mut().zip(lu.solve(&rest, true)).for_each(|(y, more)| *y += more);
+                let y = lu.refined(&self.heat, &bar[3], true);
                 for (i, by) in self.equations.heat_by_velocity(&d, &y).iter().enumerate() {
                     (0..2).for_each(|e| flow_bar[3 * i + e] -= by[e]);
                 }
