@@ -11,7 +11,7 @@ use hydrograd::numerics::eigenvalues::outermost;
 use hydrograd::numerics::krylov::gmres;
 use hydrograd::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use hydrograd::scene::around_shapes::AroundShapes;
-use hydrograd::scene::shape_search::Search;
+use hydrograd::scene::shape_search::{Epoch, Search};
 use hydrograd::sph::cloud::composed::residual;
 use hydrograd::sph::cloud::equations::{Bar, State};
 use hydrograd::sph::cloud::figures::Figure;
@@ -538,6 +538,29 @@ fn a_search_raises_the_heat_at_a_fixed_area() {
     assert!(best.objective > 1.015 * first.objective, "{} -> {}", first.objective, best.objective);
     assert!((best.variables[0] * best.variables[1] / 0.0036 - 1.0).abs() < 2e-3, "{:?}", best.variables);
     assert!(best.variables[0] > 0.07, "a slender ellipse along the flow, {:?}", best.variables);
+}
+
+#[test]
+fn a_design_without_a_flow_is_never_the_best() {
+    let epoch = |objective: f64, excess: f64, failure: Option<&str>| Epoch {
+        variables: vec![],
+        objective,
+        gradient_norm: 0.0,
+        excess,
+        seconds: 0.0,
+        round: 0,
+        failure: failure.map(str::to_string),
+    };
+    let failed = epoch(f64::NAN, 0.0, Some("the particles fold"));
+    let (outside, nearer) = (epoch(5.0, 0.5, None), epoch(1.0, 0.1, None));
+    let (held, higher) = (epoch(2.0, 0.0, None), epoch(3.0, 0.0, None));
+    let order = [&failed, &outside, &nearer, &held, &higher];
+    for (i, a) in order.iter().enumerate() {
+        for (j, b) in order.iter().enumerate() {
+            assert_eq!(a.is_better(b, 1.0), i > j, "{a:?} and {b:?}");
+        }
+    }
+    assert!(held.is_better(&higher, -1.0));
 }
 
 #[test]

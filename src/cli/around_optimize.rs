@@ -17,7 +17,7 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
-use crate::scene::shape_search::{Epoch, Found, Search};
+use crate::scene::shape_search::{Epoch, Found, Search, HELD};
 use crate::scene::verification::{wall_settings, Verification};
 use crate::scene::warnings::Warning;
 use serde_json::{json, Value};
@@ -46,7 +46,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
         match &epoch.failure {
             Some(why) => bar.log(&format!("epoch {:3}  rejected, the next step is shorter: {why}", k + 1)),
             None => {
-                let excess = if epoch.excess > 1e-3 {
+                let excess = if epoch.excess > HELD {
                     format!("  limits exceeded by {:.2e}", epoch.excess)
                 } else {
                     String::new()

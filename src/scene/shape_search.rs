@@ -29,6 +29,19 @@ pub struct Epoch {
     pub failure: Option<String>,
 }
 
+impl Epoch {
+    /// Whether it is a better design than another one: one with a flow, then one that holds its limits, then one with
+    /// the larger `sign` times objective, or with the smaller excess of a limit.
+    pub fn is_better(&self, other: &Self, sign: f64) -> bool {
+        let rank = |epoch: &Self| match epoch {
+            Self { failure: Some(_), .. } => (0, 0.0),
+            Self { excess, .. } if *excess > HELD => (1, -excess),
+            Self { objective, .. } => (2, sign * objective),
+        };
+        rank(self) > rank(other)
+    }
+}
+
 /// A finished search.
 #[derive(Debug)]
 pub struct Found {
@@ -45,7 +58,7 @@ pub struct Found {
 /// How far a shape moves before particles are placed anew, in its own size; of angles in radians.
 const TRUST: f64 = 0.12;
 /// A limit that is exceeded by less counts as held.
-const HELD: f64 = 1e-3;
+pub const HELD: f64 = 1e-3;
 /// Rounds end when the objective changes by less from one to the next.
 const SETTLED: f64 = 2e-4;
 
@@ -194,15 +207,9 @@ impl<'a> Search<'a> {
             if !of_last_round.is_nan() && history.last().is_some_and(|last| last.round < round) {
                 jump = f64::max(jump, (epoch.objective / of_last_round - 1.0).abs());
             }
-            let sign = self.around.sign();
-            let rank = |epoch: &Epoch| {
-                let held = epoch.excess <= HELD;
-                (held, if held { sign * epoch.objective } else { -epoch.excess })
-            };
             history.push(epoch);
             let last = history.len() - 1;
-            let (own, other) = (rank(&history[last]), rank(&history[best]));
-            if (own.0 && !other.0) || (own.0 == other.0 && own.1 > other.1) {
+            if history[last].is_better(&history[best], self.around.sign()) {
                 best = last;
             }
             watch(&history[last], last);
@@ -211,7 +218,8 @@ impl<'a> Search<'a> {
             if sqp.is_done() {
                 let Some(at) = sqp.best().cloned() else { break };
                 let now = at.value / self.factor();
-                if ((now - of_last_round) / self.unit).abs() < SETTLED && history[last].excess <= HELD {
+                let excess = at.limits.iter().map(Limited::excess).fold(0.0, f64::max);
+                if ((now - of_last_round) / self.unit).abs() < SETTLED && excess <= HELD {
                     converged = true;
                     break;
                 }
