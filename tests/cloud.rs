@@ -270,11 +270,45 @@ fn fits_are_exact_for_quadratics_and_what_they_leave_vanishes() {
     let f: Vec<f64> = x.iter().zip(y).map(|(x, y)| 1.0 + 2.0 * x - y + 3.0 * x * x + x * y - 2.0 * y * y).collect();
     for i in 0..cloud.particles() {
         let exact = [2.0 + 6.0 * x[i] + y[i], -1.0 + x[i] - 4.0 * y[i], 6.0, 1.0, -4.0, 0.0];
-        for (stencils, coefficients) in [(&cloud.flow, &shaped.operators.flow), (&cloud.heat, &shaped.operators.heat)] {
-            let found = coefficients.derivatives(stencils, i, &f);
-            let worst = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            assert!(worst < 1e-8, "particle {i}: {found:?}");
-        }
+        let found = shaped.operators.derivatives(&cloud.stencils, i, &f);
+        let worst = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst < 1e-8, "particle {i}: {found:?}");
+    }
+}
+
+#[test]
+fn fits_at_walls_are_exact_for_cubics_and_their_adjoint_is_their_derivative() {
+    let around = AroundShapes::new(&loaded(SIDES)).unwrap();
+    let cloud = &around.flow.cloud;
+    let position = cloud.shaped(&cloud.numbers()).unwrap().position;
+    let n = cloud.particles();
+    let field = |of: &dyn Fn(f64, f64) -> f64| (0..n).map(|i| of(position[0][i], position[1][i])).collect::<Vec<f64>>();
+    let cubic = field(&|x, y| 1.0 + x - 2.0 * y + x * x + x * y - 3.0 * x.powi(3) + 2.0 * x * x * y - y.powi(3));
+    let other = field(&|x, y| (5.0 * x + 3.0 * y).sin());
+    let fits: Vec<_> = cloud.wall_fits.iter().enumerate().filter_map(|(k, fit)| Some((k, fit.as_ref()?))).collect();
+    assert!(fits.len() > 40);
+    for (k, fit) in fits {
+        let i = cloud.places.boundary[k].particle;
+        let (x, y) = (position[0][i], position[1][i]);
+        let exact = [1.0 + 2.0 * x + y - 9.0 * x * x + 4.0 * x * y, -2.0 + x + 2.0 * x * x - 3.0 * y * y];
+        let found = fit.gradient(&position, &cubic);
+        assert!((0..2).all(|d| (found[d] - exact[d]).abs() < 1e-9), "{found:?} and {exact:?}");
+        // Along a direction in which all positions and values change.
+        let (mut by_position, mut by_field) = ([vec![0.0; n], vec![0.0; n]], vec![0.0; n]);
+        let bar = [0.7, -1.3];
+        fit.pull_back((&position, &other), bar, &mut by_position, &mut by_field);
+        let way = |i: usize, k: usize| ((i * 7 + k * 13) as f64).sin();
+        let along = |step: f64| {
+            let moved: [Vec<f64>; 2] =
+                std::array::from_fn(|d| (0..n).map(|i| position[d][i] + step * way(i, d)).collect());
+            let values: Vec<f64> = (0..n).map(|i| other[i] + step * way(i, 2)).collect();
+            let found = fit.gradient(&moved, &values);
+            bar[0] * found[0] + bar[1] * found[1]
+        };
+        let difference = (along(1e-6) - along(-1e-6)) / 2e-6;
+        let sum = |k: usize, bar: &[f64]| (0..n).map(|i| bar[i] * way(i, k)).sum::<f64>();
+        let exact = sum(0, &by_position[0]) + sum(1, &by_position[1]) + sum(2, &by_field);
+        assert!((difference - exact).abs() < 1e-6 * exact.abs().max(1.0), "{difference} and {exact}");
     }
 }
 
@@ -321,7 +355,7 @@ fn the_residual_and_its_adjoint_equal_candles() {
     }
     // The matrices are the derivatives by the fields.
     let theirs = gradients.get(&fields).unwrap().to_vec2::<f64>().unwrap();
-    let (mut of_u, mut of_t) = (equations.flow.matrix(3), equations.heat.matrix(1));
+    let (mut of_u, mut of_t) = (equations.stencils.matrix(3), equations.stencils.matrix(1));
     equations.flow_matrix(&state, &d, &shaped.operators, &mut of_u);
     equations.heat_matrix(&state, &shaped.operators, &mut of_t);
     let (mut by_u, by_t) = (of_u.times(&of_flow, true), of_t.times(&bars[3], true));
@@ -353,9 +387,16 @@ fn derivatives_of_every_figure_are_differences_of_whole_solutions() {
             Figure::HeatOutflow,
             Figure::PressureDrop,
             Figure::Dissipation,
+            Figure::Probe { field: 0, probe: 0 },
+            Figure::Probe { field: 1, probe: 1 },
+            Figure::Probe { field: 2, probe: 1 },
+            Figure::Probe { field: 3, probe: 0 },
         ]
     };
+    let probes =
+        "objective.terms = [{ kind = \"velocity-x\", at = [0.85, 0.21] }, { kind = \"pressure\", at = [0.5, 0.31] }]\n";
     for (text, shape) in [(SIDES.to_string(), 0), (held, 2), (power, 2)] {
+        let text = probes.to_string() + &text;
         let mut around = AroundShapes::new(&loaded(&text)).unwrap();
         let numbers = around.flow.cloud.numbers();
         let solution = around.flow.solve(&numbers).unwrap();
@@ -414,12 +455,10 @@ fn flow_drag_and_heat_are_those_of_finite_elements() {
         let flow = off(value(Figure::FlowRate), number(bodies[0], 4));
         let drag = off(sum(&|shape| Figure::Force { shape, along: 0 }), total(5));
         let heat = off(sum(&|shape| Figure::Heat { shape }), total(8));
-        // Two discs across the channel leave gaps of two and a half spacings, which cost 1.7 % of the flow rate; an ellipse that
-        // takes almost half of the channel's height has 1.2 % less heat.
+        // Two discs across the channel leave gaps of two and a half spacings, which cost 1.6 % of the flow rate.
         let most_flow = if name == "circles-across" { 1.8 } else { 0.3 };
-        let most_heat = if name == "upright-ellipse" { 1.3 } else { 1.0 };
         assert!(
-            flow.abs() < most_flow && drag.abs() < 0.3 && heat.abs() < most_heat,
+            flow.abs() < most_flow && drag.abs() < 0.3 && heat.abs() < 0.65,
             "{name}: {flow:.2}, {drag:.2}, {heat:.2} %"
         );
     }
@@ -526,14 +565,14 @@ fn steps_of_the_search_hold_limits_and_find_the_minimum() {
 
 #[test]
 fn a_search_raises_the_heat_at_a_fixed_area() {
-    let mut text = channel(0.03, "objective.kind = \"shape-heat\"\nobjective.shapes = [2]\noptimise.epochs = 12\n");
+    let mut text = channel(0.03, "objective.kind = \"shape-heat\"\nobjective.shapes = [2]\noptimise.epochs = 30\n");
     text += &shape("ellipse", &[0.5, 0.2, 0.06, 0.06, 0.0]);
     text += "[[limits]]\nkind = \"area\"\nshapes = [2]\nat_least = 0.01131\nat_most = 0.01131\n";
     for number in ["axes[0]", "axes[1]"] {
         text += &format!("[[variables]]\nnumber = \"shapes[2].{number}\"\nlower = 0.03\nupper = 0.1\n");
     }
     let config = loaded(&text);
-    let found = Search::new(&config).unwrap().run(12, &mut |_, _| ()).unwrap();
+    let found = Search::new(&config).unwrap().run(30, &mut |_, _| ()).unwrap();
     let (first, best) = (&found.history[0], &found.history[found.best]);
     assert!(best.objective > 1.015 * first.objective, "{} -> {}", first.objective, best.objective);
     assert!((best.variables[0] * best.variables[1] / 0.0036 - 1.0).abs() < 2e-3, "{:?}", best.variables);
@@ -564,6 +603,23 @@ fn a_design_without_a_flow_is_never_the_best() {
 }
 
 #[test]
+fn probes_read_an_exact_flow() {
+    // Between plates at 0 and 0.4: u = y (0.4 - y) / (2 nu), p = 0, T = x / 1 is what the walls have.
+    let text = "scene = \"custom\"\nregion.size = [1.0, 0.4]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
+         fluid.viscosity = 0.2\nfluid.conductivity = 0.2\nfluid.inlet_temperature = 2.0\ninitial.temperature = 2.0\nresolution.dx = 0.05\n\
+         method.name = \"fixed\"\nobjective.terms = [{ kind = \"velocity-x\", at = [0.33, 0.111] }, \
+         { kind = \"velocity-x\", at = [0.8, 0.0], weight = 3.0 }, { kind = \"temperature\", at = [0.1, 0.2] }, \
+         { kind = \"pressure\", at = [0.1, 0.2] }, { kind = \"velocity-y\", at = [0.1, 0.2] }]\n\
+         [region.sides]\nbottom = { kind = \"wall\", temperature = 1.0 }\ntop = { kind = \"wall\", temperature = 4.0 }\n";
+    let mut around = AroundShapes::new(&loaded(text)).unwrap();
+    let solution = around.solve(&[]).unwrap();
+    let expected = 0.111 * (0.4 - 0.111) / 0.4 + 2.5;
+    let (found, terms) = around.objective(&solution);
+    assert!((found - expected).abs() < 1e-8, "{found} and {expected}");
+    assert_eq!(terms.len(), 5);
+}
+
+#[test]
 fn what_fixed_particles_cannot_do_is_refused_by_name() {
     let refuses = |text: &str, words: &[&str]| {
         let folder = tempfile::tempdir().unwrap();
@@ -588,6 +644,14 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
     refuses(&(base.clone() + &shape("disc", &[0.5, 0.9, 0.05])), &["shapes[2]", "outside of the box"]);
     let near = shape("disc", &[0.4, 0.2, 0.08]) + &shape("disc", &[0.565, 0.2, 0.08]);
     refuses(&(base.clone() + &near), &["shapes[2]", "near", "resolution.dx="]);
+    let probe = |key: &str| channel(0.03, key) + &shape("disc", &[0.5, 0.2, 0.08]);
+    refuses(&probe("objective.terms = [{ kind = \"pressure\" }]"), &["objective.terms[0]", "at = [x, y]"]);
+    refuses(&probe("objective.terms = [{ kind = \"drag\", at = [0.1, 0.1] }]"), &["objective.terms[0]", "only probes"]);
+    refuses(
+        &probe("objective.terms = [{ kind = \"pressure\", at = [1.1, 0.1] }]"),
+        &["outside of the box", "0 ... 0.4"],
+    );
+    refuses(&probe("objective.terms = [{ kind = \"pressure\", at = [0.5, 0.2] }]"), &["not in the fluid"]);
     refuses(&channel(0.03, "region.inlet_until = 0.1"), &["region.inlet_until", "region.sides"]);
     refuses(
         &(channel(0.03, "region.sides.left = { kind = \"inflow\", velocity = [1, 0], temperature = 0 }")),

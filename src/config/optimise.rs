@@ -24,9 +24,27 @@ section! {
         shapes: Vec<usize> = vec![];
         #[serde(skip_serializing_if = "Goal::is_larger")]
         goal: Goal = Goal::Larger;
+        /// Where a probe is: pressure, temperature or velocity at a point.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        at: Option<[f64; 2]> = None;
         /// A weighted sum instead of `kind`.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         terms: Vec<Term> = vec![];
+    }
+}
+
+/// What an objective, a term of it or a limit asks for: a kind of figure, of which shapes, or at which point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Asked {
+    pub kind: ObjectiveKind,
+    pub shapes: Vec<usize>,
+    pub at: Option<[f64; 2]>,
+}
+
+impl Objective {
+    /// The figure of an objective without terms.
+    pub fn asked(&self) -> Asked {
+        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at }
     }
 }
 
@@ -50,12 +68,20 @@ impl Goal {
 pub struct Term {
     pub kind: ObjectiveKind,
     pub shapes: Vec<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at: Option<[f64; 2]>,
     pub weight: f64,
 }
 
 impl Default for Term {
     fn default() -> Self {
-        Self { kind: ObjectiveKind::FlowRate, shapes: vec![], weight: 1.0 }
+        Self { kind: ObjectiveKind::FlowRate, shapes: vec![], at: None, weight: 1.0 }
+    }
+}
+
+impl Term {
+    pub fn asked(&self) -> Asked {
+        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at }
     }
 }
 
@@ -66,6 +92,8 @@ pub struct LimitEntry {
     pub kind: ObjectiveKind,
     pub shapes: Vec<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub at: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub at_least: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_most: Option<f64>,
@@ -73,7 +101,13 @@ pub struct LimitEntry {
 
 impl Default for LimitEntry {
     fn default() -> Self {
-        Self { kind: ObjectiveKind::Area, shapes: vec![], at_least: None, at_most: None }
+        Self { kind: ObjectiveKind::Area, shapes: vec![], at: None, at_least: None, at_most: None }
+    }
+}
+
+impl LimitEntry {
+    pub fn asked(&self) -> Asked {
+        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at }
     }
 }
 
@@ -97,6 +131,11 @@ pub enum ObjectiveKind {
     ShapeHeat,
     PressureDrop,
     Dissipation,
+    /// Probes: pressure, temperature and velocity at a point.
+    Pressure,
+    Temperature,
+    VelocityX,
+    VelocityY,
     /// Area of shapes, and the smallest distance between them or to walls; for limits.
     Area,
     Distance,
@@ -106,6 +145,11 @@ impl ObjectiveKind {
     /// Whether only fixed particles around shapes have this figure.
     pub fn is_of_shapes(self) -> bool {
         !matches!(self, Self::HeatOutflow | Self::OutletTemperature | Self::WallHeat | Self::FlowRate)
+    }
+
+    /// Whether it is a field at a point.
+    pub fn is_probe(self) -> bool {
+        matches!(self, Self::Pressure | Self::Temperature | Self::VelocityX | Self::VelocityY)
     }
 }
 

@@ -14,8 +14,8 @@ pub use crate::config::method::consistent::{Consistent, IntegratorName, ShiftNam
 pub use crate::config::method::fixed::Fixed;
 pub use crate::config::method::standard::{DensityEquation, DensityGradient, FluxName, Standard, ViscousPairs};
 pub use crate::config::method::Method;
+pub use crate::config::optimise::{Asked, Goal, LimitEntry, Term};
 pub use crate::config::optimise::{DynamicsName, GradientMode, Interpolation, Objective, ObjectiveForm, ObjectiveKind};
-pub use crate::config::optimise::{Goal, LimitEntry, Term};
 pub use crate::config::optimise::{Optimise, OptimiserName, Search};
 pub use crate::config::run::{Output, Precision, Run};
 pub use crate::config::surrogate::{FirstFrames, Surrogate, Trust};

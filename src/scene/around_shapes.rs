@@ -4,13 +4,13 @@ use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
 use crate::config::custom::{Part, ShapeEntry, ShapeNumber, Side, SideKind};
 use crate::config::formula::Function;
-use crate::config::scene::{Config, DriveName, Goal, ObjectiveKind};
+use crate::config::scene::{Asked, Config, DriveName, Goal, LimitEntry, ObjectiveKind, Term};
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::{Motion, Warmth};
 use crate::sph::cloud::figures::Figure;
-use crate::sph::cloud::nearest::Plane;
+use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
 use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
@@ -30,6 +30,8 @@ const ROUNDED: f64 = 1.0;
 pub struct AroundShapes {
     pub flow: SteadyFlow,
     config: Config,
+    /// The points of probes.
+    probes: Vec<[f64; 2]>,
     /// Shape and number in its outline of each of `variables`.
     pub wanted: Vec<(usize, usize)>,
 }
@@ -167,7 +169,9 @@ impl AroundShapes {
                     .into());
             }
         }
-        let flow = SteadyFlow::new(cloud, held, None, threads).map_err(|why| unusable(config, &why))?;
+        let probes = probes(config);
+        check_probes(&cloud, &probes)?;
+        let flow = SteadyFlow::new(cloud, held, &probes, threads).map_err(|why| unusable(config, &why))?;
         if let Some(k) = (0..config.shapes.len()).find(|&k| !flow.measures.is_seen(k)) {
             let problem =
                 format!("shapes[{k}] has no surface in the fluid: it is outside of the box, or inside of other shapes");
@@ -177,7 +181,7 @@ impl AroundShapes {
                 )
                 .into());
         }
-        Ok(Self { flow, config: config.clone(), wanted })
+        Ok(Self { flow, config: config.clone(), probes, wanted })
     }
 
     /// Advice for a spacing that is too coarse.
@@ -210,25 +214,37 @@ impl AroundShapes {
     fn unit(&self, figure: Figure) -> f64 {
         let fluid = &self.config.fluid;
         match figure {
-            Figure::FlowRate => 1.0,
+            Figure::FlowRate | Figure::Probe { field: 0 | 1 | 3, .. } => 1.0,
             Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
             _ => fluid.density,
         }
     }
 
     pub fn value(&self, solution: &Solution, figure: Figure) -> f64 {
-        self.unit(figure) * self.flow.value(solution, figure)
+        let reference = match figure {
+            Figure::Probe { field: 3, .. } => self.config.fluid.inlet_temperature,
+            _ => 0.0,
+        };
+        reference + self.unit(figure) * self.flow.value(solution, figure)
     }
 
     /// The figures whose sum a kind of objective is.
-    fn figures(&self, kind: ObjectiveKind, shapes: &[usize]) -> Vec<Figure> {
-        let all: Vec<usize> = match shapes {
+    fn figures(&self, asked: &Asked) -> Vec<Figure> {
+        let probe = |field: usize| {
+            let probe = self.probes.iter().position(|place| Some(*place) == asked.at);
+            probe.map(|probe| Figure::Probe { field, probe }).into_iter().collect()
+        };
+        let all: Vec<usize> = match asked.shapes.as_slice() {
             [] if !self.flow.cloud.places.bodies.is_empty() => self.flow.cloud.places.bodies.clone(),
             [] => self.flow.cloud.places.touching.clone(),
             given => given.to_vec(),
         };
         let each = |of: &dyn Fn(usize) -> Figure| all.iter().map(|&shape| of(shape)).collect();
-        match kind {
+        match asked.kind {
+            ObjectiveKind::Pressure => probe(2),
+            ObjectiveKind::Temperature => probe(3),
+            ObjectiveKind::VelocityX => probe(0),
+            ObjectiveKind::VelocityY => probe(1),
             ObjectiveKind::Drag => each(&|shape| Figure::Force { shape, along: 0 }),
             ObjectiveKind::Lift => each(&|shape| Figure::Force { shape, along: 1 }),
             ObjectiveKind::Torque => each(&|shape| Figure::Torque { shape }),
@@ -240,34 +256,34 @@ impl AroundShapes {
         }
     }
 
-    fn sum(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> f64 {
-        self.figures(kind, shapes).iter().map(|&figure| self.value(solution, figure)).sum()
+    fn sum(&self, solution: &Solution, asked: &Asked) -> f64 {
+        self.figures(asked).iter().map(|&figure| self.value(solution, figure)).sum()
     }
 
     /// The value of a kind of objective and its terms: figures with the derivative of the value by each.
-    pub fn terms(&self, solution: &Solution, kind: ObjectiveKind, shapes: &[usize]) -> (f64, Vec<(Figure, f64)>) {
-        let part = |kind: ObjectiveKind, weight: f64| -> Vec<(Figure, f64)> {
-            self.figures(kind, shapes).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
+    pub fn terms(&self, solution: &Solution, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
+        let part = |asked: &Asked, weight: f64| -> Vec<(Figure, f64)> {
+            self.figures(asked).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
         };
-        if kind == ObjectiveKind::LiftOverDrag {
-            let (lift, drag) =
-                (self.sum(solution, ObjectiveKind::Lift, shapes), self.sum(solution, ObjectiveKind::Drag, shapes));
-            let terms =
-                [part(ObjectiveKind::Lift, 1.0 / drag), part(ObjectiveKind::Drag, -lift / (drag * drag))].concat();
+        if asked.kind == ObjectiveKind::LiftOverDrag {
+            let [of_lift, of_drag] =
+                [ObjectiveKind::Lift, ObjectiveKind::Drag].map(|kind| Asked { kind, ..asked.clone() });
+            let (lift, drag) = (self.sum(solution, &of_lift), self.sum(solution, &of_drag));
+            let terms = [part(&of_lift, 1.0 / drag), part(&of_drag, -lift / (drag * drag))].concat();
             return (lift / drag, terms);
         }
-        (self.sum(solution, kind, shapes), part(kind, 1.0))
+        (self.sum(solution, asked), part(asked, 1.0))
     }
 
     /// The objective's value and terms.
     pub fn objective(&self, solution: &Solution) -> (f64, Vec<(Figure, f64)>) {
         let objective = &self.config.objective;
         if objective.terms.is_empty() {
-            return self.terms(solution, objective.kind, &objective.shapes);
+            return self.terms(solution, &objective.asked());
         }
         let mut all = (0.0, vec![]);
         for term in &objective.terms {
-            let (value, terms) = self.terms(solution, term.kind, &term.shapes);
+            let (value, terms) = self.terms(solution, &term.asked());
             all.0 += term.weight * value;
             all.1.extend(terms.into_iter().map(|(figure, weight)| (figure, term.weight * weight)));
         }
@@ -468,6 +484,35 @@ impl AroundShapes {
 fn place_of(cloud: &Cloud, number: &ShapeNumber) -> Option<(usize, usize)> {
     let parts: &[Part] = &cloud.ground.outlines.get(number.shape)?.parts;
     Some((number.shape, parts.iter().position(|part| *part == number.part)?))
+}
+
+/// The points of all probes of a configuration.
+fn probes(config: &Config) -> Vec<[f64; 2]> {
+    let objective = &config.objective;
+    let of_terms = objective.terms.iter().map(Term::asked);
+    let asked = of_terms.chain([objective.asked()]).chain(config.limits.iter().map(LimitEntry::asked));
+    let mut found: Vec<[f64; 2]> = vec![];
+    for place in asked.filter_map(|asked| asked.at) {
+        if !found.contains(&place) {
+            found.push(place);
+        }
+    }
+    found
+}
+
+/// Probes must be in the fluid or on a wall of it.
+fn check_probes(cloud: &Cloud, probes: &[[f64; 2]]) -> Result<(), BadInput> {
+    let Ground { plane, dx, surface, far, .. } = cloud.ground;
+    for probe in probes {
+        let near = Nearest::new(plane, dx, &cloud.places.place).one(*probe, 2.0 * far * dx);
+        let is_hidden = cloud.ground.is_in_wall(&cloud.places.polygons, *probe, None).is_some();
+        // A point on a round wall is inside of it by rounding.
+        if !near.is_some_and(|(distance, _)| !is_hidden || distance < surface) {
+            let problem = format!("the probe at {probe:?} is not in the fluid");
+            return Err(BadInput::at("objective.at", problem).allowed("points in the fluid or on its walls"));
+        }
+    }
+    Ok(())
 }
 
 /// Two thirds of the spacing, in three digits.

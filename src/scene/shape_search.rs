@@ -6,7 +6,7 @@
 
 use super::around_shapes::AroundShapes;
 use crate::config::custom::Part;
-use crate::config::scene::{Config, ObjectiveKind};
+use crate::config::scene::{Asked, Config};
 use crate::design::parametrisations::numbers::Numbers;
 use crate::design::sqp::{Limited, Point, Sqp};
 use crate::error::Error;
@@ -64,8 +64,7 @@ const SETTLED: f64 = 2e-4;
 
 /// The limits of the configuration as functions that are at most 0, or 0.
 struct Limit {
-    kind: ObjectiveKind,
-    shapes: Vec<usize>,
+    asked: Asked,
     /// +1 for `at_most`, -1 for `at_least`.
     sign: f64,
     bound: f64,
@@ -75,13 +74,7 @@ struct Limit {
 fn limits(config: &Config) -> Vec<Limit> {
     let mut all = vec![];
     for entry in &config.limits {
-        let limit = |sign: f64, bound: f64, is_equation: bool| Limit {
-            kind: entry.kind,
-            shapes: entry.shapes.clone(),
-            sign,
-            bound,
-            is_equation,
-        };
+        let limit = |sign: f64, bound: f64, is_equation: bool| Limit { asked: entry.asked(), sign, bound, is_equation };
         match (entry.at_least, entry.at_most) {
             (Some(low), Some(high)) if low == high => all.push(limit(1.0, low, true)),
             (low, high) => {
@@ -142,11 +135,11 @@ impl<'a> Search<'a> {
         let gradient = scaled(self.around.gradient(&solution, &terms)?, factor, &self.width);
         let mut limited = vec![];
         for k in 0..self.limits.len() {
-            let Limit { kind, ref shapes, sign, bound, is_equation } = self.limits[k];
-            let (value, by) = match self.around.of_shapes(kind, shapes, &variables) {
+            let Limit { ref asked, sign, bound, is_equation } = self.limits[k];
+            let (value, by) = match self.around.of_shapes(asked.kind, &asked.shapes, &variables) {
                 Some(judged) => (judged.value, judged.by_variables),
                 None => {
-                    let (value, terms) = self.around.terms(&solution, kind, shapes);
+                    let (value, terms) = self.around.terms(&solution, asked);
                     (value, self.around.gradient(&solution, &terms)?)
                 }
             };

@@ -3,12 +3,12 @@
 use crate::config::custom::{Fill, Kind, ShapeEntry, ShapeNumber, SideKind, VariableEntry};
 use crate::config::formula::Formula;
 use crate::config::range::{countable, is_whole, whole_spacings};
-use crate::config::scene::{Config, DriveName, Family, Goal, Method, ObjectiveKind};
+use crate::config::scene::{Asked, Config, DriveName, Family, Goal, Method, ObjectiveKind};
 use crate::error::BadInput;
 
 /// The figures that fixed particles around shapes have.
 const OF_SHAPES: &str =
-    "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation";
+    "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation; pressure, temperature, velocity-x, velocity-y (at a point)";
 
 /// The first of some numbers that belongs to a curve.
 fn numbers_of_curves(shapes: &[ShapeEntry], numbers: &[ShapeNumber]) -> Option<usize> {
@@ -200,15 +200,30 @@ impl Config {
 
     fn check_objective_of_shapes(&self, has_heat: bool) -> Result<(), BadInput> {
         let objective = &self.objective;
-        let one = |key: &str, kind: ObjectiveKind, shapes: &[usize], limit: bool| {
+        let one = |key: &str, asked: &Asked, limit: bool| {
+            let Asked { kind, ref shapes, at } = *asked;
             let bad = |what: &str| BadInput::at(key, format!("{key}: {what}"));
+            if kind.is_probe() != at.is_some() {
+                return Err(match at {
+                    None => bad("a probe without a place").allowed("at = [x, y] beside the kind"),
+                    Some(_) => bad("only probes are at a point")
+                        .allowed("at = [x, y] with pressure, temperature, velocity-x, velocity-y"),
+                });
+            }
+            if let Some(place) = at {
+                if (0..2).any(|d| !(place[d] >= 0.0 && place[d] <= self.region.size[d])) {
+                    return Err(bad(&format!("the point {place:?} is outside of the box"))
+                        .allowed(format!("0 ... {} and 0 ... {}", self.region.size[0], self.region.size[1])));
+                }
+            }
             if let Some(wrong) = shapes.iter().find(|&&k| k >= self.shapes.len()) {
                 return Err(bad(&format!("there is no shape {wrong}")).allowed(format!(
                     "0 ... {}, the places of shapes in the file",
                     self.shapes.len().saturating_sub(1)
                 )));
             }
-            let about_heat = matches!(kind, ObjectiveKind::ShapeHeat | ObjectiveKind::HeatOutflow);
+            let about_heat =
+                matches!(kind, ObjectiveKind::ShapeHeat | ObjectiveKind::HeatOutflow | ObjectiveKind::Temperature);
             if about_heat && !has_heat {
                 return Err(bad("heat in a scene without it")
                     .allowed("with initial.temperature")
@@ -228,10 +243,10 @@ impl Config {
         };
         // A scene without variables needs no objective, and the default is about heat.
         if !self.variables.is_empty() && objective.terms.is_empty() {
-            one("objective.kind", objective.kind, &objective.shapes, false)?;
+            one("objective.kind", &objective.asked(), false)?;
         }
         for (k, term) in objective.terms.iter().enumerate() {
-            one(&format!("objective.terms[{k}]"), term.kind, &term.shapes, false)?;
+            one(&format!("objective.terms[{k}]"), &term.asked(), false)?;
             if term.kind == ObjectiveKind::LiftOverDrag {
                 let key = format!("objective.terms[{k}].kind");
                 return Err(
@@ -241,7 +256,7 @@ impl Config {
         }
         for (k, limit) in self.limits.iter().enumerate() {
             let key = format!("limits[{k}]");
-            one(&key, limit.kind, &limit.shapes, true)?;
+            one(&key, &limit.asked(), true)?;
             if limit.at_least.is_none() && limit.at_most.is_none() {
                 return Err(BadInput::at(&key, format!("{key} limits nothing")).allowed("at_least, at_most, or both"));
             }

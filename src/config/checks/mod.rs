@@ -42,6 +42,7 @@ impl Schema for Config {
         (config.objective.shapes, config.objective.terms) = (vec![0], vec![Term::default()]);
         (config.resolution.surface, config.resolution.far) = (Some(0.01), Some(1.0));
         config.objective.goal = Goal::Smaller;
+        config.objective.at = Some([0.0; 2]);
         let side = Some(Side {
             velocity: Some(vec![]),
             temperature: Some(Formula("1".into())),

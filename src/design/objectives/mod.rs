@@ -140,6 +140,10 @@ impl Figure {
             ObjectiveKind::ShapeHeat => ("heat of shapes", "shape_heat", "heat that leaves shapes", "power / length"),
             ObjectiveKind::PressureDrop => ("pressure drop", "pressure_drop", "pressure drop", "rho u^2"),
             ObjectiveKind::Dissipation => ("dissipation", "dissipation", "dissipated power", "power / length"),
+            ObjectiveKind::Pressure => ("pressure", "pressure", "pressure at the probe", "rho u^2"),
+            ObjectiveKind::Temperature => ("temperature", "temperature", "temperature at the probe", "scene units"),
+            ObjectiveKind::VelocityX => ("velocity", "velocity_x", "velocity along x at the probe", "u"),
+            ObjectiveKind::VelocityY => ("velocity", "velocity_y", "velocity along y at the probe", "u"),
             ObjectiveKind::Area => ("area", "area", "area of shapes", "length^2"),
             ObjectiveKind::Distance => ("distance", "distance", "smallest distance", "length"),
             ObjectiveKind::OutletTemperature => {

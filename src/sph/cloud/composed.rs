@@ -4,7 +4,7 @@
 //! autograd gives its derivatives by state and positions, to which those are compared.
 
 use super::equations::{Equations, Motion, Warmth};
-use super::fit::Stencils;
+use super::fit::{Stencils, LEFT};
 use crate::sph::consistent::composed::{factorised, solved};
 use candle_core::{Device, Result, Tensor};
 
@@ -87,8 +87,7 @@ impl Pairs {
 pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Result<Tensor> {
     let (n, inside) = (equations.particles(), equations.inside);
     let fields = (0..4).map(|f| state.get(f)).collect::<Result<Vec<_>>>()?;
-    let mut all = Pairs::new(&equations.flow)?.derivatives(position, &fields[..3])?;
-    all.extend(Pairs::new(&equations.heat)?.derivatives(position, &fields[3..])?);
+    let all = Pairs::new(&equations.stencils)?.derivatives(position, &fields)?;
     let [u, v, p, t] = [&fields[0], &fields[1], &fields[2], &fields[3]];
     let [du, dv, dp, dt] = [&all[0], &all[1], &all[2], &all[3]];
     let alpha = equations.diffusivity.unwrap_or(0.0);
@@ -101,7 +100,7 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
     let within = [
         moved(du, &dp[0], equations.force[0])?,
         moved(dv, &dp[1], equations.force[1])?,
-        ((&du[0] + &dv[1])? - dp[5].mul(&damping)?)?,
+        ((&du[0] + &dv[1])? - dp[LEFT].mul(&damping)?)?,
         (carried(dt)? - diffused(dt, alpha)?)?,
     ];
     // On the boundary each row is a weighted sum of values and derivatives, given by constant weights.
@@ -142,6 +141,11 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
         })?;
         row = (row + dt[along].mul(&slope)?)?;
     }
+    let smoothing = rows(&|k| match warmth(k) {
+        Warmth::Given(_) => 0.0,
+        Warmth::Flux(_) => alpha * equations.smoothing(inside + k),
+    })?;
+    row = (row + dt[LEFT].mul(&smoothing)?)?;
     residual.push(row);
     Tensor::stack(&residual, 0)
 }

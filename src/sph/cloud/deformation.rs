@@ -4,8 +4,7 @@
 //! is the solution of Laplace's equation with the reference cloud's own fits (as in a mesh morphing; Helenbrook 2003). It
 //! is linear in the displacement of the outlines, so one factorisation serves all shapes.
 
-use super::equations::Operators;
-use super::fit::Stencils;
+use super::fit::{Coefficients, Stencils};
 use crate::numerics::sparse_lu::{BlockMatrix, Order, Singular, SparseLu};
 use std::sync::Arc;
 
@@ -22,7 +21,7 @@ impl Deformation {
     /// A reference cloud whose Laplace equation has no solution.
     pub fn new(
         stencils: &Stencils,
-        operators: &Operators,
+        operators: &Coefficients,
         places: &[[f64; 2]],
         inside: usize,
         threads: usize,
@@ -35,7 +34,7 @@ impl Deformation {
                 continue;
             }
             for k in 0..stencils.neighbours {
-                let c = operators.flow.of(i, k);
+                let c = operators.of(i, k);
                 let entry = matrix.entry(i, stencils.neighbour(i, k) as u32);
                 matrix.values[entry] += c[2] + c[4];
                 matrix.values[diagonal] -= c[2] + c[4];

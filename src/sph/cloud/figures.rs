@@ -12,10 +12,11 @@
 //! differentiated (a designer finds the errors of the surface's); their difference from the surface's sum is shared among
 //! the bodies by their perimeters.
 
-use super::equations::{Bar, Condition, Derivatives, Equations, Motion, Operators, State, Warmth};
-use super::fit::COEFFICIENTS;
+use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, Warmth};
+use super::fit::{Coefficients, COEFFICIENTS};
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
+use super::wall_fit::WallFit;
 use crate::config::custom::Part;
 
 /// A figure that is a smooth function of state and shape.
@@ -33,6 +34,8 @@ pub enum Figure {
     HeatOutflow,
     /// Mean pressure of the sides that the fluid enters by less that of those where it leaves, or of a period.
     PressureDrop,
+    /// A field (u, v, p, T) at the point of a probe, by the probe's index.
+    Probe { field: usize, probe: usize },
     /// Power of the driving forces less that of moving walls, per density.
     Dissipation,
 }
@@ -49,6 +52,8 @@ struct Sample {
 #[derive(Debug)]
 pub struct Measures {
     section: Vec<Sample>,
+    probes: Vec<Sample>,
+    wall_fits: Vec<Option<WallFit>>,
     /// Indices of boundary points by shape.
     points: Vec<Vec<usize>>,
     /// Boundary points that belong to no body.
@@ -85,8 +90,8 @@ impl At<'_> {
 }
 
 impl Measures {
-    /// `at`: x of the cross-section; none: as far from bodies as possible.
-    pub fn new(cloud: &Cloud, at: Option<f64>) -> Self {
+    /// `at`: x of the cross-section; none: as far from bodies as possible. `probes`: points at which fields are figures.
+    pub fn new(cloud: &Cloud, at: Option<f64>, probes: &[[f64; 2]]) -> Self {
         let (plane, places) = (cloud.ground.plane, &cloud.places);
         let shapes = cloud.ground.outlines.len();
         let mut points = vec![vec![]; shapes];
@@ -149,6 +154,12 @@ impl Measures {
         let near = super::nearest::Nearest::new(plane, cloud.ground.dx, &places.place);
         let rows = cloud.ground.cells(&places.corners)[1];
         let step = (high[1] - low[1]) / rows as f64;
+        let sample = |p: [f64; 2], weight: f64| {
+            let (_, particle) = near.one(p, 2.0 * cloud.ground.far * cloud.ground.dx)?;
+            let own = places.place[particle];
+            let r = plane.between(own, p);
+            Some(Sample { particle, place: [own[0] + r[0], own[1] + r[1]], weight })
+        };
         let mut section = vec![];
         for row in 0..rows {
             for part in [-1.0, 1.0] {
@@ -158,16 +169,29 @@ impl Measures {
                 if cloud.ground.is_in_wall(&places.polygons, p, None).is_some() {
                     continue;
                 }
-                if let Some((_, particle)) = near.one(p, 2.0 * cloud.ground.far * cloud.ground.dx) {
-                    let r = plane.between(places.place[particle], p);
-                    let own = places.place[particle];
-                    section.push(Sample { particle, place: [own[0] + r[0], own[1] + r[1]], weight: 0.5 * step });
-                }
+                section.extend(sample(p, 0.5 * step));
             }
         }
+        // What is too far from particles is refused before.
+        let probes =
+            probes.iter().map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 })).collect();
         let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
         let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
-        Self { section, points, rest, share, centre, centre_numbers, inside, base_area, size, periodic_x }
+        let wall_fits = cloud.wall_fits.clone();
+        Self {
+            section,
+            probes,
+            wall_fits,
+            points,
+            rest,
+            share,
+            centre,
+            centre_numbers,
+            inside,
+            base_area,
+            size,
+            periodic_x,
+        }
     }
 
     /// Whether a shape has a point on the boundary of the fluid.
@@ -210,6 +234,27 @@ impl Measures {
         }
     }
 
+    /// The gradient of the temperature at a point of the boundary.
+    fn heat_slope(&self, at: &At<'_>, k: usize) -> [f64; 2] {
+        match &self.wall_fits[k] {
+            Some(fit) => fit.gradient(&at.shaped.position, &at.state.fields[3]),
+            None => {
+                let d = &at.d.0[3][self.inside + k];
+                [d[0], d[1]]
+            }
+        }
+    }
+
+    fn heat_slope_back(&self, at: &At<'_>, k: usize, slope: [f64; 2], bar: &mut Bar) {
+        match &self.wall_fits[k] {
+            Some(fit) => {
+                let of = (&at.shaped.position, at.state.fields[3].as_slice());
+                fit.pull_back(of, slope, &mut bar.position, &mut bar.fields[3]);
+            }
+            None => (0..2).for_each(|b| bar.derivatives.0[3][self.inside + k][b] += slope[b]),
+        }
+    }
+
     /// The traction times length at a point of the boundary, less the momentum that the fluid carries in, along e.
     fn push(&self, at: &At<'_>, k: usize, e: usize) -> f64 {
         let (i, a, nu) = (self.inside + k, at.shaped.area[k], at.equations.viscosity);
@@ -240,21 +285,21 @@ impl Measures {
     /// The heat that enters at a point of the boundary, by conduction and with the fluid.
     fn warmth(&self, at: &At<'_>, k: usize) -> f64 {
         let (i, a) = (self.inside + k, at.shaped.area[k]);
-        let (dt, u) = (&at.d.0[3][i], at.velocity(i));
+        let (dt, u) = (self.heat_slope(at, k), at.velocity(i));
         let alpha = at.equations.diffusivity.unwrap_or(0.0);
         at.state.fields[3][i] * (u[0] * a[0] + u[1] * a[1]) - alpha * (dt[0] * a[0] + dt[1] * a[1])
     }
 
     fn warmth_back(&self, at: &At<'_>, k: usize, weight: f64, bar: &mut Bar) {
         let (i, a) = (self.inside + k, at.shaped.area[k]);
-        let (dt, u, t) = (&at.d.0[3][i], at.velocity(i), at.state.fields[3][i]);
+        let (dt, u, t) = (self.heat_slope(at, k), at.velocity(i), at.state.fields[3][i]);
         let alpha = at.equations.diffusivity.unwrap_or(0.0);
         bar.fields[3][i] += weight * (u[0] * a[0] + u[1] * a[1]);
         for b in 0..2 {
             bar.fields[b][i] += weight * t * a[b];
-            bar.derivatives.0[3][i][b] -= weight * alpha * a[b];
             bar.boundary[k].area[b] += weight * (t * u[b] - alpha * dt[b]);
         }
+        self.heat_slope_back(at, k, [-weight * alpha * a[0], -weight * alpha * a[1]], bar);
     }
 
     fn bodies(&self) -> impl Iterator<Item = usize> + '_ {
@@ -331,6 +376,7 @@ impl Measures {
                 };
                 self.points[shape].iter().map(of).sum()
             }
+            Figure::Probe { field, probe } => Self::sampled(&self.probes[probe], at, field),
             Figure::PressureDrop => {
                 if self.periodic_x {
                     return Self::body_force(at, 0) * self.size[0];
@@ -435,6 +481,7 @@ impl Measures {
                     bar.numbers.extend(cy.map(|n| (shape, n, weight * x)));
                 }
             }
+            Figure::Probe { field, probe } => Self::sampled_back(&self.probes[probe], at, field, weight, bar),
             Figure::PressureDrop => {
                 if self.periodic_x {
                     bar.drive += weight * self.size[0];
@@ -484,7 +531,7 @@ impl FlowRate for Rate<'_> {
         self.measures.value(Figure::FlowRate, &At { equations, shaped: self.shaped, state, d })
     }
 
-    fn by_state(&self, equations: &Equations, operators: &Operators) -> Vec<f64> {
+    fn by_state(&self, equations: &Equations, operators: &Coefficients) -> Vec<f64> {
         let n = equations.particles();
         let state = State::at_rest(n);
         let d = Derivatives(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; n]));

@@ -20,3 +20,4 @@ pub mod particles;
 pub mod placing;
 pub mod problem;
 pub mod steady;
+pub mod wall_fit;

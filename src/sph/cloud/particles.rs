@@ -1,17 +1,17 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
 use super::deformation::Deformation;
-use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Operators, Warmth};
-use super::fit::Stencils;
+use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
+use super::fit::{Coefficients, Stencils};
 use super::nearest::{Nearest, Plane};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
+use super::wall_fit::{self, WallFit};
 use std::fmt::Debug;
 
-/// Neighbours of the fits of velocity and pressure, and of the temperature. (Measured around ten bodies in a channel, dx = 0.02.
-/// The heat is at most 1.4, 1.2, 1.0, 0.9 and 0.7 % off finite elements with 16 to 20; its gradient by the radii of a spline is
-/// along theirs with a cosine of 0.983, 0.980, 0.979, 0.977 with 16 to 19. Flow and drag are best with 16.)
+/// Neighbours of the fits. (Measured around ten bodies in a channel, dx = 0.02. With 16 to 18 the heat is at most 0.6, 0.4 and 0.3 % off
+/// finite elements; its gradient by the radii of a spline is along theirs with a cosine of 0.983, 0.981, 0.980. Flow and drag are best
+/// with 16.)
 pub const NEIGHBOURS: usize = 16;
-pub const HEAT_NEIGHBOURS: usize = 17;
 
 /// Velocity and temperature that points of the boundary have, by place. The flow's material constants.
 pub trait Surroundings: Debug + Send + Sync {
@@ -50,8 +50,9 @@ pub struct Cloud {
     pub places: Places,
     pub fluid: Fluid,
     pub deformation: Deformation,
-    pub flow: Stencils,
-    pub heat: Stencils,
+    pub stencils: Stencils,
+    /// Of each point of the boundary that is on no body.
+    pub wall_fits: Vec<Option<WallFit>>,
     pub surroundings: std::sync::Arc<dyn Surroundings>,
 }
 
@@ -65,7 +66,7 @@ pub struct Shaped {
     /// Normal into the fluid times length, of each point of the boundary.
     pub area: Vec<[f64; 2]>,
     pub conditions: Vec<Condition>,
-    pub operators: Operators,
+    pub operators: Coefficients,
 }
 
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
@@ -182,21 +183,24 @@ impl Cloud {
         threads: usize,
     ) -> Result<Self, Unusable> {
         let places = ground.fill().map_err(Unusable::Placing)?;
-        let most = if fluid.diffusivity.is_some() { HEAT_NEIGHBOURS } else { NEIGHBOURS };
-        let near = {
+        let (near, wall_fits) = {
             let (all, sight) = (Nearest::new(ground.plane, ground.dx, &places.place), Sight::new(&ground, &places));
-            let of = |i: usize| all.of(places.place[i], most + 1, |j, _| j != i && sight.sees(i, j));
-            (0..places.place.len()).map(of).collect::<Vec<_>>()
+            let of = |i: usize, count: usize| all.of(places.place[i], count, |j, _| j != i && sight.sees(i, j));
+            let on_wall = |point: &BoundaryPoint| {
+                let is_on_body = point.on.is_some_and(|(shape, _)| places.bodies.contains(&shape));
+                let near = (!is_on_body).then(|| of(point.particle, wall_fit::NEIGHBOURS + 1))?;
+                WallFit::new(ground.plane, &places.place, point.particle, &near)
+            };
+            let near: Vec<_> = (0..places.place.len()).map(|i| of(i, NEIGHBOURS + 1)).collect();
+            (near, places.boundary.iter().map(on_wall).collect())
         };
-        let stencils = |neighbours: usize| {
-            Stencils::new(ground.plane, &places.place, neighbours, &near).map_err(|i| Unusable::Lonely(places.place[i]))
-        };
-        let (flow, heat) = (stencils(NEIGHBOURS)?, stencils(most)?);
+        let stencils = Stencils::new(ground.plane, &places.place, NEIGHBOURS, &near)
+            .map_err(|i| Unusable::Lonely(places.place[i]))?;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
-        let operators = Operators { flow: flow.coefficients(&position), ..Operators::default() };
-        let deformation = Deformation::new(&flow, &operators, &places.place, places.inside, threads)
+        let operators = stencils.coefficients(&position);
+        let deformation = Deformation::new(&stencils, &operators, &places.place, places.inside, threads)
             .map_err(|_| Unusable::Singular)?;
-        Ok(Self { ground, places, fluid, deformation, flow, heat, surroundings })
+        Ok(Self { ground, places, fluid, deformation, stencils, wall_fits, surroundings })
     }
 
     pub fn particles(&self) -> usize {
@@ -218,8 +222,7 @@ impl Cloud {
             damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
-            flow: self.flow.clone(),
-            heat: self.heat.clone(),
+            stencils: self.stencils.clone(),
         }
     }
 
@@ -269,10 +272,7 @@ impl Cloud {
                 Condition { motion, warmth, normal: normal[k] }
             })
             .collect();
-        let operators = Operators {
-            flow: self.flow.coefficients(&position),
-            heat: if self.fluid.diffusivity.is_some() { self.heat.coefficients(&position) } else { Default::default() },
-        };
+        let operators = self.stencils.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
     }
 
@@ -280,7 +280,7 @@ impl Cloud {
     fn check_folds(&self, position: &[Vec<f64>; 2]) -> Result<(), Unusable> {
         for i in 0..self.particles() {
             for k in 0..4 {
-                let (j, _, shift) = self.flow.pair(i, k);
+                let (j, _, shift) = self.stencils.pair(i, k);
                 let (a, b) = (self.places.place[i], self.places.place[j]);
                 let before = [b[0] - a[0] + shift[0], b[1] - a[1] + shift[1]];
                 let now: [f64; 2] = std::array::from_fn(|d| position[d][j] - position[d][i] + shift[d]);

@@ -47,10 +47,10 @@ const CONTINUATION: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
 impl SteadyFlow {
     /// # Errors
     /// A map of the reference shape that folds, which cannot be.
-    pub fn new(cloud: Cloud, held: Option<Held>, section: Option<f64>, threads: usize) -> Result<Self, Unusable> {
+    pub fn new(cloud: Cloud, held: Option<Held>, probes: &[[f64; 2]], threads: usize) -> Result<Self, Unusable> {
         let shaped = cloud.shaped(&cloud.numbers())?;
         let solver = Solver::new(cloud.equations(&shaped), &cloud.places.place, threads);
-        let measures = Measures::new(&cloud, section);
+        let measures = Measures::new(&cloud, None, probes);
         Ok(Self { cloud, solver, measures, held, last: None })
     }
 

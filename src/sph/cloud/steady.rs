@@ -11,7 +11,8 @@
 //!
 //! A is singular where only the border fixes the pressure, so A + e e^T (e: the row of that pressure) is factorised.
 
-use super::equations::{Derivatives, Equations, Operators, State};
+use super::equations::{Derivatives, Equations, State};
+use super::fit::Coefficients;
 use crate::numerics::eigenvalues::outermost;
 use crate::numerics::krylov::gmres;
 use crate::numerics::sparse_lu::{dot, refined, BlockMatrix, Order, Singular, SparseLu};
@@ -48,7 +49,7 @@ pub enum Held {
 /// The flow rate as a linear function of the state: its value and derivative by u, v, p, `[N, 3]`.
 pub trait FlowRate: Sync {
     fn value(&self, equations: &Equations, state: &State, d: &Derivatives) -> f64;
-    fn by_state(&self, equations: &Equations, operators: &Operators) -> Vec<f64>;
+    fn by_state(&self, equations: &Equations, operators: &Coefficients) -> Vec<f64>;
 }
 
 /// Steps of Newton's method before it is given up.
@@ -66,8 +67,7 @@ const ADJOINT_ITERATIONS: usize = 40;
 pub struct Solver {
     pub equations: Equations,
     pub threads: usize,
-    flow_order: Arc<Order>,
-    heat_order: Arc<Order>,
+    order: Arc<Order>,
     flow: BlockMatrix,
     heat: BlockMatrix,
     factors: Option<Factors>,
@@ -197,20 +197,16 @@ impl Factors {
 impl Solver {
     /// A solver for particles at these places of the reference cloud.
     pub fn new(equations: Equations, places: &[[f64; 2]], threads: usize) -> Self {
-        let (flow, heat) = (equations.flow.matrix(3), equations.heat.matrix(1));
-        let flow_order = Arc::new(Order::new(&flow, |i| places[i]));
-        let heat_order = match equations.diffusivity {
-            Some(_) => Arc::new(Order::new(&heat, |i| places[i])),
-            None => flow_order.clone(),
-        };
-        Self { equations, threads, flow_order, heat_order, flow, heat, factors: None, counts: Counts::default() }
+        let (flow, heat) = (equations.stencils.matrix(3), equations.stencils.matrix(1));
+        let order = Arc::new(Order::new(&flow, |i| places[i]));
+        Self { equations, threads, order, flow, heat, factors: None, counts: Counts::default() }
     }
 
     fn border(
         &self,
         state: &State,
         d: &Derivatives,
-        operators: &Operators,
+        operators: &Coefficients,
         held: Option<(&Held, &dyn FlowRate)>,
     ) -> Border {
         let (equations, n) = (&self.equations, self.equations.particles());
@@ -295,7 +291,7 @@ impl Solver {
             }
         }
         self.counts.factorisations += 1;
-        let factors = Factors::new(&self.flow_order, &self.flow, border, self.threads)?;
+        let factors = Factors::new(&self.order, &self.flow, border, self.threads)?;
         self.counts.bytes = factors.lu.bytes();
         let exact = |r: &[f64]| factors.solve(r, transposed, true);
         let x = match transposed {
@@ -313,7 +309,7 @@ impl Solver {
     /// No convergence.
     pub fn settle(
         &mut self,
-        operators: &Operators,
+        operators: &Coefficients,
         state: &mut State,
         held: Option<(&Held, &dyn FlowRate)>,
     ) -> Result<(), NoSteadyState> {
@@ -357,12 +353,12 @@ impl Solver {
         Err(NoSteadyState::Diverged { residual: last })
     }
 
-    fn settle_heat(&mut self, operators: &Operators, state: &mut State) -> Result<(), NoSteadyState> {
+    fn settle_heat(&mut self, operators: &Coefficients, state: &mut State) -> Result<(), NoSteadyState> {
         if self.equations.diffusivity.is_none() {
             return Ok(());
         }
         self.equations.heat_matrix(state, operators, &mut self.heat);
-        let lu = SparseLu::new(&self.heat_order, &self.heat, self.threads)?;
+        let lu = SparseLu::new(&self.order, &self.heat, self.threads)?;
         for _ in 0..2 {
             let d = self.equations.derivatives(operators, state, true);
             let right: Vec<f64> = self.equations.heat_residual(state, &d).iter().map(|x| -x).collect();
@@ -378,7 +374,7 @@ impl Solver {
     /// A transposed system that cannot be solved.
     pub fn adjoint(
         &mut self,
-        operators: &Operators,
+        operators: &Coefficients,
         state: &State,
         bar: &[Vec<f64>; 4],
         drive_bar: f64,
@@ -391,7 +387,7 @@ impl Solver {
         if self.equations.diffusivity.is_some() {
             if bar[3].iter().any(|&x| x != 0.0) {
                 self.equations.heat_matrix(state, operators, &mut self.heat);
-                let lu = SparseLu::new(&self.heat_order, &self.heat, self.threads)?;
+                let lu = SparseLu::new(&self.order, &self.heat, self.threads)?;
                 let y = lu.refined(&self.heat, &bar[3], true);
                 for (i, by) in self.equations.heat_by_velocity(&d, &y).iter().enumerate() {
                     (0..2).for_each(|e| flow_bar[3 * i + e] -= by[e]);
@@ -424,7 +420,7 @@ impl Solver {
     /// A matrix without factors.
     pub fn growth(
         &mut self,
-        operators: &Operators,
+        operators: &Coefficients,
         state: &State,
         held: Option<(&Held, &dyn FlowRate)>,
         rate: f64,
@@ -439,7 +435,7 @@ impl Solver {
             block[4] += rate;
         }
         let border = self.border(state, &d, operators, held);
-        let factors = Factors::new(&self.flow_order, &self.flow, &border, self.threads)?;
+        let factors = Factors::new(&self.order, &self.flow, &border, self.threads)?;
         let extra = border.columns.len();
         let mut map = |x: &[f64]| {
             let moves = |k: usize| k % 3 < 2 && k / 3 < inside;
