@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand.
 
 pub mod arguments;
+mod around_in_time;
 mod around_optimize;
 mod around_shapes;
 pub mod bench;

@@ -1,7 +1,6 @@
 //! `hydrograd simulate`: runs a scene, with figures, plots and frames.
 
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
-use super::around_shapes;
 use super::explain::explain;
 use super::files::{self, CHECKPOINT};
 use super::guard;
@@ -9,6 +8,7 @@ use super::page;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
+use super::{around_in_time, around_shapes};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::{Dynamics, RunError};
 use crate::config::layers::Setting;
@@ -107,6 +107,10 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     }
     RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
     if loaded.config.is_around_shapes() {
+        if loaded.config.unsteady().is_some() {
+            interrupt::listen("hydrograd simulate".to_string())?;
+            return around_in_time::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
+        }
         // It is found anew in a moment.
         return around_shapes::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
     }

@@ -1,6 +1,6 @@
 //! Custom scenes: a box, the shapes in it, and the initial fields.
 
-use crate::config::formula::{Formula, Function};
+use crate::config::formula::{Formula, Function, ReadFormula};
 use crate::config::range::Range::NotNegative;
 use crate::config::section::section;
 use crate::config::suggest;
@@ -313,7 +313,7 @@ impl ShapeEntry {
     }
 
     /// Checks shape number `place`; returns the first error.
-    pub fn check(&self, place: usize, dimension: usize, has_heat: bool) -> Result<(), BadInput> {
+    pub fn check(&self, place: usize, dimension: usize, has_heat: bool, read: ReadFormula) -> Result<(), BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");
         let bad = |name: &str, problem: String| BadInput::at(key(name), format!("{}: {problem}", key(name)));
         let kind = self.kind;
@@ -393,7 +393,7 @@ impl ShapeEntry {
             if !is_wall {
                 return Err(bad("velocity", "of fluid".into()).allowed("initial.velocity for the fluid's"));
             }
-            functions(&key("velocity"), velocity, dimension, Formula::function)?;
+            functions(&key("velocity"), velocity, dimension, read)?;
         }
         for (name, formula) in [("temperature", &self.temperature), ("heat_flux", &self.heat_flux)] {
             let Some(formula) = formula else { continue };
@@ -405,7 +405,7 @@ impl ShapeEntry {
                     .allowed("with initial.temperature, which gives the scene its heat")
                     .advice("initial.temperature=1.0"));
             }
-            formula.function(&key(name), dimension)?;
+            read(formula, &key(name), dimension)?;
         }
         if self.temperature.is_some() && self.heat_flux.is_some() {
             return Err(bad("heat_flux", "beside a temperature".into()).allowed("one of both"));
@@ -419,7 +419,7 @@ pub fn functions(
     key: &str,
     vector: &[Formula],
     dimension: usize,
-    read: fn(&Formula, &str, usize) -> Result<Function, BadInput>,
+    read: ReadFormula,
 ) -> Result<Vec<Function>, BadInput> {
     if vector.len() != dimension {
         let texts: Vec<&str> = vector.iter().map(|formula| formula.0.as_str()).collect();

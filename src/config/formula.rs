@@ -18,6 +18,9 @@ pub struct Formula(pub String);
 // Numbers may have exponents.
 literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?");
 
+/// How a formula is read, given its key in messages and the number of dimensions.
+pub type ReadFormula = fn(&Formula, &str, usize) -> Result<Function, BadInput>;
+
 type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
 #[derive(Debug, Clone)]
@@ -60,6 +63,11 @@ impl Function {
     /// Whether it is the same at every place and time.
     pub fn is_constant(&self) -> bool {
         self.variables.is_empty()
+    }
+
+    /// Whether it changes with time.
+    pub fn has_time(&self) -> bool {
+        self.variables.contains(&3)
     }
 
     /// The value at a position; NaN where it has none.

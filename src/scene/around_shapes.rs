@@ -9,7 +9,7 @@ use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::{Motion, Warmth};
-use crate::sph::cloud::figures::Figure;
+use crate::sph::cloud::figures::{At, Figure};
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
@@ -50,8 +50,8 @@ struct Conditions {
 }
 
 impl Conditions {
-    fn on(&self, wall: &OnWall, place: [f64; 2]) -> (Motion, Warmth) {
-        let at = |function: &Function| function.at([place[0], place[1], 0.0]);
+    fn on(&self, wall: &OnWall, place: [f64; 2], time: f64) -> (Motion, Warmth) {
+        let at = |function: &Function| function.at_time([place[0], place[1], 0.0], time);
         let mut velocity = [0.0; 2];
         wall.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
         let warmth = match (&wall.temperature, &wall.heat_flux) {
@@ -63,21 +63,21 @@ impl Conditions {
 }
 
 impl Surroundings for Conditions {
-    fn condition(&self, point: &BoundaryPoint, place: [f64; 2]) -> (Motion, Warmth) {
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64) -> (Motion, Warmth) {
         let adiabatic = Warmth::Flux(0.0);
         if let Some((shape, _)) = point.on {
-            return self.on(&self.shapes[shape], place);
+            return self.on(&self.shapes[shape], place, time);
         }
         if let Some((kind, wall)) = point.side.and_then(|side| self.sides[side].as_ref()) {
             let along = point.side.unwrap_or_default() / 2;
             return match kind {
                 SideKind::Outflow => (Motion::Outflow(along), adiabatic),
                 SideKind::Symmetry => (Motion::Symmetry(along), adiabatic),
-                _ => self.on(wall, place),
+                _ => self.on(wall, place, time),
             };
         }
         match self.shape_behind(point, place) {
-            Some(shape) => self.on(&self.shapes[shape], place),
+            Some(shape) => self.on(&self.shapes[shape], place, time),
             None => (Motion::Given([0.0; 2]), adiabatic),
         }
     }
@@ -92,6 +92,11 @@ impl Surroundings for Conditions {
 
     fn varies(&self, shape: usize) -> bool {
         self.shapes[shape].varies()
+    }
+
+    fn has_time(&self) -> bool {
+        let sides = self.sides.iter().flatten().map(|(_, wall)| wall);
+        self.shapes.iter().chain(sides).any(OnWall::has_time)
     }
 }
 
@@ -117,12 +122,13 @@ impl AroundShapes {
         let plane =
             Plane { size: [region.size[0], region.size[1]], periodic: [region.periodic[0], region.periodic[1]] };
         let outlines = outlines(&config.shapes, surface);
-        let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 2));
+        let read = config.wall_formula();
+        let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 2, read));
         let side = |(name, side): (&'static str, Option<&Side>)| {
             let Some(side) = side else { return Ok(None) };
             let Side { kind, velocity, temperature, heat_flux } = side;
             let key = format!("region.sides.{name}");
-            OnWall::new(&key, 2, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
+            OnWall::new(&key, 2, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref(), read)
                 .map(|wall| Some((*kind, wall)))
         };
         let [left, right, bottom, top] = region.sides.all().map(side);
@@ -140,6 +146,7 @@ impl AroundShapes {
             viscosity: config.kinematic_viscosity(),
             diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
             force: [region.acceleration[0], region.acceleration[1]],
+            buoyancy: None,
             velocity: fluid.reference_velocity,
         };
         let held = match fluid.drive {
@@ -171,7 +178,8 @@ impl AroundShapes {
         }
         let probes = probes(config);
         check_probes(&cloud, &probes)?;
-        let flow = SteadyFlow::new(cloud, held, &probes, threads).map_err(|why| unusable(config, &why))?;
+        let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads)
+            .map_err(|why| unusable(config, &why))?;
         if let Some(k) = (0..config.shapes.len()).find(|&k| !flow.measures.is_seen(k)) {
             let problem =
                 format!("shapes[{k}] has no surface in the fluid: it is outside of the box, or inside of other shapes");
@@ -182,6 +190,10 @@ impl AroundShapes {
                 .into());
         }
         Ok(Self { flow, config: config.clone(), probes, wanted })
+    }
+
+    pub fn config(&self) -> &Config {
+        &self.config
     }
 
     /// Advice for a spacing that is too coarse.
@@ -221,11 +233,15 @@ impl AroundShapes {
     }
 
     pub fn value(&self, solution: &Solution, figure: Figure) -> f64 {
+        self.value_at(&self.flow.at(solution), figure)
+    }
+
+    pub fn value_at(&self, at: &At<'_>, figure: Figure) -> f64 {
         let reference = match figure {
             Figure::Probe { field: 3, .. } => self.config.fluid.inlet_temperature,
             _ => 0.0,
         };
-        reference + self.unit(figure) * self.flow.value(solution, figure)
+        reference + self.unit(figure) * self.flow.measures.value(figure, at)
     }
 
     /// The figures whose sum a kind of objective is.
@@ -256,38 +272,53 @@ impl AroundShapes {
         }
     }
 
-    fn sum(&self, solution: &Solution, asked: &Asked) -> f64 {
-        self.figures(asked).iter().map(|&figure| self.value(solution, figure)).sum()
+    fn sum(&self, at: &At<'_>, asked: &Asked) -> f64 {
+        self.figures(asked).iter().map(|&figure| self.value_at(at, figure)).sum()
     }
 
     /// The value of a kind of objective and its terms: figures with the derivative of the value by each.
     pub fn terms(&self, solution: &Solution, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
+        self.terms_at(&self.flow.at(solution), asked)
+    }
+
+    fn terms_at(&self, at: &At<'_>, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
         let part = |asked: &Asked, weight: f64| -> Vec<(Figure, f64)> {
             self.figures(asked).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
         };
         if asked.kind == ObjectiveKind::LiftOverDrag {
             let [of_lift, of_drag] =
                 [ObjectiveKind::Lift, ObjectiveKind::Drag].map(|kind| Asked { kind, ..asked.clone() });
-            let (lift, drag) = (self.sum(solution, &of_lift), self.sum(solution, &of_drag));
+            let (lift, drag) = (self.sum(at, &of_lift), self.sum(at, &of_drag));
             let terms = [part(&of_lift, 1.0 / drag), part(&of_drag, -lift / (drag * drag))].concat();
             return (lift / drag, terms);
         }
-        (self.sum(solution, asked), part(asked, 1.0))
+        (self.sum(at, asked), part(asked, 1.0))
     }
 
     /// The objective's value and terms.
     pub fn objective(&self, solution: &Solution) -> (f64, Vec<(Figure, f64)>) {
+        self.objective_at(&self.flow.at(solution))
+    }
+
+    pub fn objective_at(&self, at: &At<'_>) -> (f64, Vec<(Figure, f64)>) {
         let objective = &self.config.objective;
         if objective.terms.is_empty() {
-            return self.terms(solution, &objective.asked());
+            return self.terms_at(at, &objective.asked());
         }
         let mut all = (0.0, vec![]);
         for term in &objective.terms {
-            let (value, terms) = self.terms(solution, &term.asked());
+            let (value, terms) = self.terms_at(at, &term.asked());
             all.0 += term.weight * value;
             all.1.extend(terms.into_iter().map(|(figure, weight)| (figure, term.weight * weight)));
         }
         all
+    }
+
+    /// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
+    pub fn has_objective(&self) -> bool {
+        let objective = &self.config.objective;
+        let is_told = objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty();
+        is_told || self.config.initial.temperature.is_some()
     }
 
     /// 1 for an objective that is to become larger, -1 for one that is to become smaller.
@@ -408,10 +439,8 @@ impl AroundShapes {
         if has_heat {
             all.push(("heat_outflow", json!(value(Figure::HeatOutflow))));
         }
-        // A scene without variables may have another scene's objective.
-        let objective = &self.config.objective;
-        if has_heat || objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty() {
-            all.push(("objective_kind", json!(objective.kind)));
+        if self.has_objective() {
+            all.push(("objective_kind", json!(self.config.objective.kind)));
             all.push(("objective", json!(self.objective(solution).0)));
         }
         let counts = self.flow.solver.counts;
@@ -556,7 +585,7 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
     bad.advice(finer(config)).into()
 }
 
-fn no_solution(config: &Config, why: &NoSolution) -> Error {
+pub(super) fn no_solution(config: &Config, why: &NoSolution) -> Error {
     match why {
         NoSolution::Cloud(Unusable::Folded([x, y])) => Error::diverged(
             format!("the particles fold at ({x:.4}, {y:.4}): a shape moved too far from where they were placed"),

@@ -1,7 +1,7 @@
 //! The shapes of custom scenes, and which positions they contain.
 
 use crate::config::custom::{functions, Kind, ShapeEntry};
-use crate::config::formula::{Formula, Function};
+use crate::config::formula::{Formula, Function, ReadFormula};
 use crate::error::BadInput;
 pub(super) use crate::sph::cloud::outline::is_inside;
 use crate::sph::cloud::outline::Outline;
@@ -35,13 +35,14 @@ impl OnWall {
         velocity: Option<&Vec<Formula>>,
         temperature: Option<&Formula>,
         heat_flux: Option<&Formula>,
+        read: ReadFormula,
     ) -> Result<Self, BadInput> {
         let one = |name: &str, formula: Option<&Formula>| {
-            formula.map(|formula| formula.function(&format!("{key}.{name}"), dimension)).transpose()
+            formula.map(|formula| read(formula, &format!("{key}.{name}"), dimension)).transpose()
         };
         Ok(Self {
             velocity: match velocity {
-                Some(velocity) => functions(&format!("{key}.velocity"), velocity, dimension, Formula::function)?,
+                Some(velocity) => functions(&format!("{key}.velocity"), velocity, dimension, read)?,
                 None => vec![],
             },
             temperature: one("temperature", temperature)?,
@@ -49,16 +50,24 @@ impl OnWall {
         })
     }
 
-    pub fn of_shape(place: usize, entry: &ShapeEntry, dimension: usize) -> Result<Self, BadInput> {
+    pub fn of_shape(place: usize, entry: &ShapeEntry, dimension: usize, read: ReadFormula) -> Result<Self, BadInput> {
         let ShapeEntry { velocity, temperature, heat_flux, .. } = entry;
         let key = format!("shapes[{place}]");
-        Self::new(&key, dimension, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref())
+        Self::new(&key, dimension, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref(), read)
     }
 
-    /// Whether any of them depends on the place.
+    fn all(&self) -> impl Iterator<Item = &Function> {
+        self.velocity.iter().chain(&self.temperature).chain(&self.heat_flux)
+    }
+
+    /// Whether any of them depends on the place (or time).
     pub fn varies(&self) -> bool {
-        let mut all = self.velocity.iter().chain(&self.temperature).chain(&self.heat_flux);
-        all.any(|function| !function.is_constant())
+        self.all().any(|function| !function.is_constant())
+    }
+
+    /// Whether any of them depends on time.
+    pub fn has_time(&self) -> bool {
+        self.all().any(Function::has_time)
     }
 }
 
@@ -69,7 +78,7 @@ impl<'a> Shape<'a> {
         Ok(Self {
             entry,
             positive: positive.transpose()?,
-            on_wall: OnWall::of_shape(place, entry, dimension)?,
+            on_wall: OnWall::of_shape(place, entry, dimension, Formula::function)?,
             polygon: polygon(entry),
         })
     }

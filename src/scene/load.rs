@@ -515,7 +515,8 @@ fn periodic_sides(merged: &mut Merged, config: &Config) {
         merged.set("region.periodic", Value::Array(Array::from_iter(periodic)), "region.sides");
     }
     // An inflow drives the flow; the body force of the scene's defaults is that of a periodic channel.
-    let enters = config.region.sides.all().iter().any(|(_, side)| side.is_some_and(|side| side.kind == SideKind::Inflow));
+    let enters =
+        config.region.sides.all().iter().any(|(_, side)| side.is_some_and(|side| side.kind == SideKind::Inflow));
     if enters && !merged.places().contains_key("region.acceleration") {
         let none = config.region.acceleration.iter().map(|_| 0.0);
         merged.set("region.acceleration", Value::Array(Array::from_iter(none)), "region.sides");

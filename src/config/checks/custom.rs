@@ -1,7 +1,8 @@
 //! Checks of custom scenes and of their design variables.
 
 use crate::config::custom::{Fill, Kind, ShapeEntry, ShapeNumber, SideKind, VariableEntry};
-use crate::config::formula::Formula;
+use crate::config::formula::{Formula, ReadFormula};
+use crate::config::method::fixed::{Fixed, FlowKind};
 use crate::config::range::{countable, is_whole, whole_spacings};
 use crate::config::scene::{Asked, Config, DriveName, Family, Goal, Method, ObjectiveKind};
 use crate::error::BadInput;
@@ -64,7 +65,7 @@ impl Config {
             }
         }
         for (place, shape) in self.shapes.iter().enumerate() {
-            shape.check(place, d, has_heat)?;
+            shape.check(place, d, has_heat, self.wall_formula())?;
         }
         Ok(())
     }
@@ -72,6 +73,23 @@ impl Config {
     /// Whether particles are fixed around shapes, and the flow is steady.
     pub fn is_around_shapes(&self) -> bool {
         self.scene == Family::Custom && !self.method.facts().moves
+    }
+
+    /// The keys of fixed particles of a flow that goes on in time, if it does.
+    pub fn unsteady(&self) -> Option<Fixed> {
+        match self.method {
+            Method::Fixed(fixed) if self.is_around_shapes() && fixed.flow == FlowKind::Unsteady => Some(fixed),
+            _ => None,
+        }
+    }
+
+    /// How formulas on walls are read: in a flow that goes on in time they may have it.
+    pub fn wall_formula(&self) -> ReadFormula {
+        if self.unsteady().is_some() {
+            Formula::function_of_time
+        } else {
+            Formula::function
+        }
     }
 
     /// Whether a scene of fixed particles around shapes asks for nothing that moving ones lack.
@@ -183,11 +201,11 @@ impl Config {
                     .advice("initial.temperature=1.0"));
             }
             if let Some(velocity) = &side.velocity {
-                crate::config::custom::functions(&key("velocity"), velocity, d, Formula::function)?;
+                crate::config::custom::functions(&key("velocity"), velocity, d, self.wall_formula())?;
             }
             for (more, formula) in [("temperature", &side.temperature), ("heat_flux", &side.heat_flux)] {
                 if let Some(formula) = formula {
-                    formula.function(&key(more), d)?;
+                    self.wall_formula()(formula, &key(more), d)?;
                 }
             }
             if (side.kind == SideKind::Periodic) != region.periodic[k / 2] {
@@ -326,7 +344,7 @@ impl Config {
                 if let Some(it) = found.of(&mut shapes) {
                     *it = *limit;
                 }
-                shapes[found.shape].check(found.shape, dimension, has_heat).map_err(|wrong| {
+                shapes[found.shape].check(found.shape, dimension, has_heat, self.wall_formula()).map_err(|wrong| {
                     let wrong = wrong.to_string();
                     let problem = wrong.lines().next().unwrap_or_default();
                     bad("number", format!("\"{number}\" may become {limit}, but {problem}"))

@@ -22,7 +22,17 @@ section! {
     #[derive(Copy)]
     "method.": Fixed {
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);
+        flow: FlowKind = FlowKind::Steady;
+        tolerance: f64 = 1e-4, Within(1e-9, 1.0);
     }
+}
+
+/// Whether a scene of one's own with fixed particles is steady, or goes on in time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FlowKind {
+    Steady,
+    Unsteady,
 }
 
 impl Kind for Fixed {

@@ -64,6 +64,13 @@ impl State {
     }
 }
 
+/// A force by the temperature: `by` (T - `at`), per unit of density (Boussinesq's approximation: minus the expansion times gravity).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Buoyancy {
+    pub by: [f64; 2],
+    pub at: f64,
+}
+
 /// The materials, forces and conditions of a flow at fixed particles.
 #[derive(Debug, Clone)]
 pub struct Equations {
@@ -72,6 +79,7 @@ pub struct Equations {
     /// Thermal diffusivity; none without heat.
     pub diffusivity: Option<f64>,
     pub force: [f64; 2],
+    pub buoyancy: Option<Buoyancy>,
     /// tau of each particle.
     pub damping: Vec<f64>,
     /// Number of particles inside; the others are on the boundary.
@@ -111,6 +119,31 @@ impl Equations {
             }
         };
         Derivatives(std::array::from_fn(of))
+    }
+
+    /// Derivatives at the boundary and at some particles more; zeros at the others.
+    pub fn derivatives_at(&self, operators: &Coefficients, state: &State, more: &[usize]) -> Derivatives {
+        let of = |f: usize| {
+            let mut d = vec![[0.0; COEFFICIENTS]; self.particles()];
+            if f < 3 || self.diffusivity.is_some() {
+                for i in (self.inside..self.particles()).chain(more.iter().copied()) {
+                    d[i] = operators.derivatives(&self.stencils, i, &state.fields[f]);
+                }
+            }
+            d
+        };
+        Derivatives(std::array::from_fn(of))
+    }
+
+    /// u . grad of u, v and T at particles inside.
+    pub fn advection(&self, operators: &Coefficients, state: &State) -> Vec<[f64; 3]> {
+        let [u, v, _, t] = &state.fields;
+        let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, t] } else { &[u, v] };
+        let slopes = operators.slopes(&self.stencils, fields, self.inside);
+        let of = |i: usize| -> [f64; 3] {
+            std::array::from_fn(|f| slopes.get(f).map_or(0.0, |slopes| u[i] * slopes[i][0] + v[i] * slopes[i][1]))
+        };
+        (0..self.inside).map(of).collect()
     }
 
     /// Residuals of momentum and continuity, `[N, 3]`.

@@ -91,7 +91,7 @@ impl At<'_> {
 
 impl Measures {
     /// `at`: x of the cross-section; none: as far from bodies as possible. `probes`: points at which fields are figures.
-    pub fn new(cloud: &Cloud, at: Option<f64>, probes: &[[f64; 2]]) -> Self {
+    pub fn new(cloud: &Cloud, at: Option<f64>, probes: &[[f64; 2]], balances: bool) -> Self {
         let (plane, places) = (cloud.ground.plane, &cloud.places);
         let shapes = cloud.ground.outlines.len();
         let mut points = vec![vec![]; shapes];
@@ -118,7 +118,7 @@ impl Measures {
         // Where the rest is coarser than the surroundings of bodies (`resolution.far`), these know better: by balance the heat of a
         // cylinder in a stream is 2.1 % off with four times the spacing on the sides, by its surface 1.1 %.
         let spacing = |&k: &usize| places.spacing[places.boundary[k].particle];
-        let balances = rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
+        let balances = balances && rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
         let share =
             (0..shapes).map(|k| if balances && places.bodies.contains(&k) { length(k) / total } else { 0.0 }).collect();
         let (centre, centre_numbers) = (0..shapes)
@@ -192,6 +192,11 @@ impl Measures {
             size,
             periodic_x,
         }
+    }
+
+    /// The particles at which derivatives are read, besides those on the boundary.
+    pub fn read_at(&self) -> Vec<usize> {
+        self.section.iter().chain(&self.probes).map(|sample| sample.particle).collect()
     }
 
     /// Whether a shape has a point on the boundary of the fluid.

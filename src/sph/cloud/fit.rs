@@ -168,13 +168,16 @@ impl Stencils {
         }
     }
 
+    /// A field with whole blocks.
+    fn padded_field(&self, field: &[f64]) -> Vec<f64> {
+        let mut padded = Vec::with_capacity(blocks(self.particles) * WIDEST);
+        padded.extend_from_slice(field);
+        padded.resize(blocks(self.particles) * WIDEST, field[self.particles - 1]);
+        padded
+    }
+
     fn padded(&self, position: &[Vec<f64>; 2]) -> [Vec<f64>; 2] {
-        let pad = |x: &Vec<f64>| {
-            let mut x = x.clone();
-            x.resize(blocks(self.particles) * WIDEST, x[self.particles - 1]);
-            x
-        };
-        [pad(&position[0]), pad(&position[1])]
+        [self.padded_field(&position[0]), self.padded_field(&position[1])]
     }
 }
 
@@ -201,6 +204,56 @@ impl Coefficients {
             (0..COEFFICIENTS).for_each(|a| sum[a] += c[a] * difference);
         }
         sum
+    }
+}
+
+/// The slopes along x and y of the particles of a block.
+struct Slopes<'a> {
+    coefficients: &'a Coefficients,
+    stencils: &'a Stencils,
+    fields: &'a [&'a [f64]],
+}
+
+impl<'a> PartKernel<f64> for Slopes<'a> {
+    /// `[fields][2][WIDEST]`.
+    type Part = &'a mut [f64];
+
+    #[inline(always)]
+    fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
+        let neighbours = self.stencils.neighbours;
+        for l in (0..WIDEST).step_by(L::COUNT) {
+            for (f, field) in self.fields.iter().enumerate() {
+                let own = L::load_part(&field[block * WIDEST + l..]);
+                let mut sum = [L::zero(); 2];
+                for k in 0..neighbours {
+                    let place = (block * neighbours + k) * WIDEST + l;
+                    // SAFETY: the tables have whole blocks, and the list names particles.
+                    let other = unsafe { L::gather(field.as_ptr(), self.stencils.list.as_ptr().add(place)) };
+                    for (d, sum) in sum.iter_mut().enumerate() {
+                        let from = ((block * neighbours + k) * COEFFICIENTS + d) * WIDEST + l;
+                        *sum = L::load_part(&self.coefficients.value[from..]).mul_add(other - own, *sum);
+                    }
+                }
+                for (d, sum) in sum.into_iter().enumerate() {
+                    let to = (2 * f + d) * WIDEST + l;
+                    // SAFETY: COUNT lanes from l on are within the row of WIDEST.
+                    unsafe { sum.store(part[to..to + L::COUNT].as_mut_ptr()) };
+                }
+            }
+        }
+    }
+}
+
+impl Coefficients {
+    /// The derivatives along x and y of fields `[N]` at the first `count` particles: `[fields][count]`.
+    pub fn slopes(&self, stencils: &Stencils, fields: &[&[f64]], count: usize) -> Vec<Vec<[f64; 2]>> {
+        let padded: Vec<Vec<f64>> = fields.iter().map(|field| stencils.padded_field(field)).collect();
+        let padded: Vec<&[f64]> = padded.iter().map(Vec::as_slice).collect();
+        let width = 2 * fields.len() * WIDEST;
+        let mut all = vec![0.0; blocks(count) * width];
+        run_parts(&Slopes { coefficients: self, stencils, fields: &padded }, all.chunks_exact_mut(width));
+        let of = |f: usize, i: usize| [0, 1].map(|d| all[field(2 * fields.len(), i, 2 * f + d)]);
+        (0..fields.len()).map(|f| (0..count).map(|i| of(f, i)).collect()).collect()
     }
 }
 

@@ -1,5 +1,5 @@
-//! Fixed particles around any shape: the steady state of an incompressible flow in two dimensions, and its exact
-//! derivative by the numbers of the shapes.
+//! Fixed particles around any shape: the steady state of an incompressible flow in two dimensions with its exact
+//! derivative by the numbers of the shapes, and flows in time ([`unsteady`]).
 //!
 //! ```text
 //!   numbers -- outline --> points on walls -- deformation --> positions -- fit --> derivatives -- equations --> residual
@@ -20,4 +20,5 @@ pub mod particles;
 pub mod placing;
 pub mod problem;
 pub mod steady;
+pub mod unsteady;
 pub mod wall_fit;

@@ -1,7 +1,7 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
 use super::deformation::Deformation;
-use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
+use super::equations::{Bar, BoundaryBar, Buoyancy, Condition, Equations, Motion, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::nearest::{Nearest, Plane};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
@@ -15,11 +15,13 @@ pub const NEIGHBOURS: usize = 16;
 
 /// Velocity and temperature that points of the boundary have, by place. The flow's material constants.
 pub trait Surroundings: Debug + Send + Sync {
-    fn condition(&self, point: &BoundaryPoint, place: [f64; 2]) -> (Motion, Warmth);
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64) -> (Motion, Warmth);
     /// The shape that a point on a side of the box belongs to, if one is behind it.
     fn shape_behind(&self, point: &BoundaryPoint, place: [f64; 2]) -> Option<usize>;
     /// Whether conditions depend on the place of a point that moves with a shape.
     fn varies(&self, shape: usize) -> bool;
+    /// Whether conditions depend on time.
+    fn has_time(&self) -> bool;
 }
 
 /// Materials and forces of a flow.
@@ -28,6 +30,7 @@ pub struct Fluid {
     pub viscosity: f64,
     pub diffusivity: Option<f64>,
     pub force: [f64; 2],
+    pub buoyancy: Option<Buoyancy>,
     /// A typical velocity, for the pressure's damping.
     pub velocity: f64,
 }
@@ -219,6 +222,7 @@ impl Cloud {
             viscosity: nu,
             diffusivity: self.fluid.diffusivity,
             force: self.fluid.force,
+            buoyancy: self.fluid.buoyancy,
             damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
@@ -265,15 +269,26 @@ impl Cloud {
             self.places.place.iter().zip(moved).map(|(p, moved)| p[d] + moved).collect()
         });
         self.check_folds(&position)?;
-        let conditions = (0..n - inside)
-            .map(|k| {
-                let place = [position[0][inside + k], position[1][inside + k]];
-                let (motion, warmth) = self.surroundings.condition(&self.places.boundary[k], place);
-                Condition { motion, warmth, normal: normal[k] }
-            })
-            .collect();
+        let conditions = self.conditions(&position, &normal, 0.0);
         let operators = self.stencils.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
+    }
+
+    /// What holds on the boundary at a time, for positions and unit normals of its points.
+    fn conditions(&self, position: &[Vec<f64>; 2], normal: &[[f64; 2]], time: f64) -> Vec<Condition> {
+        let inside = self.places.inside;
+        let of = |(k, normal): (usize, &[f64; 2])| {
+            let place = [position[0][inside + k], position[1][inside + k]];
+            let (motion, warmth) = self.surroundings.condition(&self.places.boundary[k], place, time);
+            Condition { motion, warmth, normal: *normal }
+        };
+        normal.iter().enumerate().map(of).collect()
+    }
+
+    /// What holds on the boundary of a shape at a time.
+    pub fn conditions_at(&self, shaped: &Shaped, time: f64) -> Vec<Condition> {
+        let normal: Vec<[f64; 2]> = shaped.conditions.iter().map(|condition| condition.normal).collect();
+        self.conditions(&shaped.position, &normal, time)
     }
 
     /// Nearest neighbours must stay apart and on their side: 0.4 of their reference distance along it.
@@ -318,7 +333,7 @@ impl Cloud {
                     let at = |sign: f64| {
                         let mut p = place;
                         p[d] += sign * step;
-                        self.surroundings.condition(point, p)
+                        self.surroundings.condition(point, p, 0.0)
                     };
                     let (up, down) = (at(1.0), at(-1.0));
                     let mut sum = 0.0;

@@ -72,8 +72,10 @@ pub enum Unplaceable {
 const GROWTH: f64 = 0.25;
 const LAYERS: usize = 2;
 const RELAXATIONS: usize = 30;
-/// Growth of the spacing far from bodies, per distance.
+/// Growth of the spacing far from bodies, per distance, and the least distance of points there, in spacings, before they repel each
+/// other. (A lattice that is coarser by whole factors of two is as accurate, but flows in time are not stable there.)
 const COARSER: f64 = 0.15;
+const APART: f64 = 0.85;
 /// Farther from surfaces, in dx, there are neither layers nor displaced points.
 const FAR: f64 = 12.0;
 /// Smallest spacing on a surface, in the usual one.
@@ -284,9 +286,10 @@ impl Ground {
         // Lattice points too, where the lattice does not fit to a wall.
         let moves: Vec<bool> = kept
             .iter()
-            .map(|(p, _)| {
+            .map(|(p, h)| {
                 let by_body = to_samples.one(*p, FAR * dx).is_some_and(|(distance, i)| distance < near[i].1 + 2.0 * dx);
                 by_body
+                    || (self.far > 1.0 && *h > dx)
                     || to_walls
                         .one(*p, 2.0 * dx)
                         .is_some_and(|(distance, _)| distance < 1.6 * dx && (distance / dx - 1.0).abs() > 0.01)
@@ -440,41 +443,46 @@ impl Ground {
         std::array::from_fn(|d| (((corners[1][d] - corners[0][d]) / self.dx).round() as usize).max(1))
     }
 
-    /// By how many factors of two the lattice is coarser at a place, given points on the bodies: from 15 dx away on twice as
-    /// coarse, from 28 dx on four times, and so on up to `far`.
-    fn coarseness(&self, p: [f64; 2], bodies: &[[f64; 2]], cells: [usize; 2]) -> u32 {
-        if self.far < 2.0 || bodies.is_empty() {
-            return 0;
+    /// The spacing at a place far from surfaces, given points on the bodies: dx to 8 dx away from them, then growing to `far`.
+    fn spacing(&self, p: [f64; 2], bodies: &[[f64; 2]]) -> f64 {
+        if self.far <= 1.0 || bodies.is_empty() {
+            return self.dx;
         }
         let distance = bodies.iter().map(|q| self.plane.distance(p, *q)).fold(f64::INFINITY, f64::min);
-        let wanted = (1.0 + COARSER * (distance / self.dx - 8.0)).clamp(1.0, self.far);
-        let mut level = wanted.log2().floor() as u32;
-        // A period is a whole number of spacings.
-        while level > 0 && (0..2).any(|d| self.plane.periodic[d] && !cells[d].is_multiple_of(1 << level)) {
-            level -= 1;
-        }
-        level
+        self.dx * (1.0 + COARSER * (distance / self.dx - 8.0)).clamp(1.0, self.far)
     }
 
-    /// Whether row k of the lattice is there where it is coarser; rows are counted from the nearer end.
-    fn is_kept(&self, k: usize, d: usize, cells: [usize; 2], level: u32) -> bool {
-        let from_end = if self.plane.periodic[d] { k } else { k.min(cells[d] - k) };
-        from_end.is_multiple_of(1 << level)
+    /// Whether the spacing is that of the lattice.
+    fn is_fine(&self, spacing: f64) -> bool {
+        spacing < 1.02 * self.dx
     }
 
-    /// The points of the lattice with their spacing.
+    /// The points of the lattice with their spacing. Where it is coarser only some are left, no two of them nearer than 0.85 spacings,
+    /// taken in an order without direction; repulsion will spread them.
     fn lattice(&self, corners: &[[f64; 2]; 2], bodies: &[[f64; 2]]) -> Vec<([f64; 2], f64)> {
         let cells = self.cells(corners);
         let range = |d: usize| if self.plane.periodic[d] { 0..cells[d] } else { 1..cells[d] };
         let at = |d: usize, k: usize| corners[0][d] + (corners[1][d] - corners[0][d]) * k as f64 / cells[d] as f64;
-        let mut found = vec![];
+        let (mut found, mut coarse) = (vec![], vec![]);
         for i in range(0) {
             for j in range(1) {
                 let p = [at(0, i), at(1, j)];
-                let level = self.coarseness(p, bodies, cells);
-                if self.is_kept(i, 0, cells, level) && self.is_kept(j, 1, cells, level) {
-                    found.push((p, self.dx * f64::from(1u32 << level)));
+                let h = self.spacing(p, bodies);
+                if self.is_fine(h) {
+                    found.push((p, h));
+                } else {
+                    let order = ((i * cells[1] + j) as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(32);
+                    coarse.push((order.wrapping_mul(0xd6e8_feb8_6659_fd93), p, h));
                 }
+            }
+        }
+        coarse.sort_by_key(|(order, ..)| *order);
+        let mut cells = Growing::new(self.plane, self.far * self.dx);
+        found.iter().for_each(|(p, _)| cells.add(*p));
+        for (_, p, h) in coarse {
+            if !cells.has_within(p, APART * h) {
+                cells.add(p);
+                found.push((p, h));
             }
         }
         found
@@ -500,24 +508,33 @@ impl Ground {
             let step = (corners[1][e] - corners[0][e]) / cells[e] as f64;
             let mut normal = [0.0; 2];
             normal[d] = if end == 0 { 1.0 } else { -1.0 };
-            let place = |k: usize| {
+            // A place by its number of steps along the side.
+            let place = |k: f64| {
                 let mut p = [0.0; 2];
-                p[e] = corners[0][e] + step * k as f64;
+                p[e] = corners[0][e] + step * k;
                 p[d] = if end == 0 { 0.0 } else { size[d] };
                 p
             };
-            let level = |k: usize| self.coarseness(place(k), bodies, cells);
-            // Corners of the box belong to the sides along x.
-            let range = match (periodic[e], d) {
-                (true, _) => 0..cells[e],
-                (false, 1) => 0..cells[e] + 1,
-                (false, _) => 1..cells[e],
+            let all = cells[e] as f64;
+            let numbers: Vec<f64> = (0..=cells[e]).map(|k| k as f64).collect();
+            let spacing: Vec<f64> = numbers.iter().map(|k| self.spacing(place(*k), bodies)).collect();
+            let mut on: Vec<(f64, f64)> = match spacing.iter().all(|h| self.is_fine(*h)) {
+                true => numbers[..cells[e]].iter().map(|k| (*k, self.dx)).collect(),
+                false => {
+                    let found = spread(&numbers, &vec![step; cells[e] + 1], &spacing, false, 0.0, 1.0);
+                    found.into_iter().map(|(k, _, h)| (k, h)).collect()
+                }
             };
-            let kept: Vec<usize> = range.filter(|&k| self.is_kept(k, e, cells, level(k))).collect();
-            for (n, &k) in kept.iter().enumerate() {
+            // Corners of the box belong to the sides along x.
+            match (periodic[e], d) {
+                (true, _) => {}
+                (false, 1) => on.push((all, spacing[cells[e]])),
+                (false, _) => drop(on.remove(0)),
+            }
+            for (n, &(k, h)) in on.iter().enumerate() {
                 let p = place(k);
                 let just = [p[0] + inner * normal[0], p[1] + inner * normal[1]];
-                let is_end = !periodic[e] && (k == 0 || k == cells[e]);
+                let is_end = !periodic[e] && (k == 0.0 || k == all);
                 let near_wall = surface.iter().any(|(point, place, h)| {
                     point.on.is_some() && self.plane.distance(*place, p) < 0.5 * h.min(self.dx)
                 });
@@ -525,15 +542,14 @@ impl Ground {
                     continue;
                 }
                 // Half of the way to both neighbours; without a corner all of the way to it.
-                let (all, [first, last]) = (cells[e] as f64, [kept[0], kept[kept.len() - 1]].map(|k| k as f64));
-                let k = k as f64;
+                let [first, last] = [on[0].0, on[on.len() - 1].0];
                 let before = match n {
                     0 if periodic[e] => 0.5 * (last - all + k),
                     0 => 0.0,
-                    _ => 0.5 * (kept[n - 1] as f64 + k),
+                    _ => 0.5 * (on[n - 1].0 + k),
                 };
-                let after = match kept.get(n + 1) {
-                    Some(&next) => 0.5 * (next as f64 + k),
+                let after = match on.get(n + 1) {
+                    Some(&(next, _)) => 0.5 * (next + k),
                     None if periodic[e] => 0.5 * (first + all + k),
                     None => all,
                 };
@@ -544,7 +560,7 @@ impl Ground {
                     normal,
                     side: Some(2 * d + end),
                 };
-                surface.push((point, p, self.dx * f64::from(1u32 << level(kept[n]))));
+                surface.push((point, p, h));
             }
         }
     }

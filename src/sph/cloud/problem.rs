@@ -4,6 +4,7 @@ use super::equations::{Bar, Derivatives, State};
 use super::figures::{At, Figure, Measures, Rate};
 use super::particles::{Cloud, Shaped, Unusable};
 use super::steady::{Held, NoSteadyState, Solver};
+use std::sync::Arc;
 
 /// A cloud with its solver, which keeps factors and the last state from shape to shape.
 pub struct SteadyFlow {
@@ -17,7 +18,7 @@ pub struct SteadyFlow {
 /// The steady flow around one shape.
 #[derive(Debug, Clone)]
 pub struct Solution {
-    pub shaped: Shaped,
+    pub shaped: Arc<Shaped>,
     pub state: State,
     pub derivatives: Derivatives,
 }
@@ -45,12 +46,20 @@ impl From<NoSteadyState> for NoSolution {
 const CONTINUATION: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
 
 impl SteadyFlow {
+    /// `probes`: see [`Measures::new`]; `balances`: whether forces and heat of bodies may be those that a steady flow balances.
+    ///
     /// # Errors
     /// A map of the reference shape that folds, which cannot be.
-    pub fn new(cloud: Cloud, held: Option<Held>, probes: &[[f64; 2]], threads: usize) -> Result<Self, Unusable> {
+    pub fn new(
+        cloud: Cloud,
+        held: Option<Held>,
+        probes: &[[f64; 2]],
+        balances: bool,
+        threads: usize,
+    ) -> Result<Self, Unusable> {
         let shaped = cloud.shaped(&cloud.numbers())?;
         let solver = Solver::new(cloud.equations(&shaped), &cloud.places.place, threads);
-        let measures = Measures::new(&cloud, None, probes);
+        let measures = Measures::new(&cloud, None, probes, balances);
         Ok(Self { cloud, solver, measures, held, last: None })
     }
 
@@ -59,7 +68,7 @@ impl SteadyFlow {
     /// # Errors
     /// A cloud that folds, and a flow that does not become steady.
     pub fn solve(&mut self, numbers: &[Vec<f64>]) -> Result<Solution, NoSolution> {
-        let shaped = self.cloud.shaped(numbers)?;
+        let shaped = Arc::new(self.cloud.shaped(numbers)?);
         self.solver.equations.conditions = shaped.conditions.clone();
         let mut state = self.last.clone().unwrap_or_else(|| State::at_rest(self.cloud.particles()));
         self.begin_drive(&shaped, &mut state)?;

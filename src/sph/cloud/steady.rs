@@ -86,18 +86,18 @@ pub struct Counts {
 
 /// The border of the flow's matrix: columns B, rows C, and D.
 #[derive(Debug, Clone, Default)]
-struct Border {
-    columns: Vec<Vec<f64>>,
+pub(super) struct Border {
+    pub columns: Vec<Vec<f64>>,
     rows: Vec<Vec<f64>>,
     corner: Vec<Vec<f64>>,
     /// Whether the first one is lambda.
-    pins: bool,
+    pub pins: bool,
 }
 
 /// The unknown whose pressure is 0.
 const PIN: usize = 2;
 
-struct Factors {
+pub(super) struct Factors {
     lu: SparseLu,
     /// The matrix that was factorised, for refinement.
     matrix: BlockMatrix,
@@ -131,6 +131,16 @@ fn dense(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
+/// Adds a rate of change of the velocity of particles inside.
+fn add_rate(flow: &mut BlockMatrix, inside: usize, rate: f64) {
+    for i in 0..inside {
+        let entry = flow.entry(i, i as u32);
+        let block = flow.block_mut(entry);
+        block[0] += rate;
+        block[4] += rate;
+    }
+}
+
 impl Factors {
     fn new(order: &Arc<Order>, matrix: &BlockMatrix, border: &Border, threads: usize) -> Result<Self, Singular> {
         let mut matrix = matrix.clone();
@@ -157,7 +167,7 @@ impl Factors {
     }
 
     /// The solution of the bordered system, or of its transpose: `[3 N + m]`.
-    fn solve(&self, right: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
+    pub fn solve(&self, right: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
         let border = &self.border;
         let m = border.columns.len();
         let n = right.len() - m;
@@ -428,12 +438,7 @@ impl Solver {
         let (n, inside) = (self.equations.particles(), self.equations.inside);
         let d = self.equations.derivatives(operators, state, false);
         self.equations.flow_matrix(state, &d, operators, &mut self.flow);
-        for i in 0..inside {
-            let entry = self.flow.entry(i, i as u32);
-            let block = self.flow.block_mut(entry);
-            block[0] += rate;
-            block[4] += rate;
-        }
+        add_rate(&mut self.flow, inside, rate);
         let border = self.border(state, &d, operators, held);
         let factors = Factors::new(&self.order, &self.flow, &border, self.threads)?;
         let extra = border.columns.len();
@@ -452,6 +457,33 @@ impl Solver {
         let certain = found.into_iter().filter(|one| one.residual < 1e-2);
         let growth = certain.map(|one| Complex64::new(rate, 0.0) - one.value.inv());
         Ok(growth.max_by(|a, b| a.re.total_cmp(&b.re)).map(|sigma| (sigma.re, sigma.im.abs())))
+    }
+
+    /// Makes the matrices those of a flow at rest, for [`Self::factors_at`]; returns their border.
+    pub(super) fn at_rest(&mut self, operators: &Coefficients, held: Option<(&Held, &dyn FlowRate)>) -> Border {
+        let state = State::at_rest(self.equations.particles());
+        let d = self.equations.derivatives(operators, &state, false);
+        self.equations.flow_matrix(&state, &d, operators, &mut self.flow);
+        if self.equations.diffusivity.is_some() {
+            self.equations.heat_matrix(&state, operators, &mut self.heat);
+        }
+        self.border(&state, &d, operators, held)
+    }
+
+    /// Factors of the present matrices with a rate of change of velocity and temperature at particles inside.
+    pub(super) fn factors_at(&self, rate: f64, border: &Border) -> Result<(Factors, Option<SparseLu>), Singular> {
+        let (mut flow, inside) = (self.flow.clone(), self.equations.inside);
+        add_rate(&mut flow, inside, rate);
+        let flow = Factors::new(&self.order, &flow, border, self.threads)?;
+        let heat = self.equations.diffusivity.map(|_| {
+            let mut heat = self.heat.clone();
+            (0..inside).for_each(|i| {
+                let entry = heat.entry(i, i as u32);
+                heat.values[entry] += rate;
+            });
+            SparseLu::new(&self.order, &heat, self.threads)
+        });
+        Ok((flow, heat.transpose()?))
     }
 
     /// Forgets the factors, for a state far from the last one.
