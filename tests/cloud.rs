@@ -662,3 +662,53 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
         &["resolution.surface", "method.name=fixed"],
     );
 }
+
+/// A disc that turns back and forth in a channel with a pulsating inflow, warm, with buoyancy.
+const IN_TIME: &str = "scene = \"custom\"\nregion.size = [1.0, 0.5]\nregion.acceleration = [0.0, -1.0]\n\
+    region.sides.left = { kind = \"inflow\", velocity = [\"(1 + 0.3*sin(5*t))*4*y*(0.5 - y)/0.25\", 0], temperature = 0 }\n\
+    region.sides.right = { kind = \"outflow\" }\n\
+    fluid.viscosity = 0.01\nfluid.conductivity = 0.01\nfluid.inlet_temperature = 0.0\nfluid.expansion = 0.5\n\
+    initial.temperature = 0.0\ninitial.velocity = [\"4*y*(0.5 - y)/0.25\", \"0.1*sin(3*x)\"]\n\
+    resolution.dx = 0.05\nmethod.name = \"fixed\"\nmethod.flow = \"unsteady\"\ntime.end = 0.3\nobjective.window = 0.2\n\
+    [[shapes]]\nkind = \"disc\"\ncentre = [0.35, 0.23]\nradius = 0.08\ntemperature = 1.0\n\
+    velocity = [\"0.5*cos(7*t)*(0.23 - y)\", \"0.5*cos(7*t)*(x - 0.35)\"]\n\
+";
+
+#[test]
+fn the_gradient_of_a_flow_in_time_is_that_of_differences() {
+    let variables = "[[variables]]\nnumber = \"shapes[0].centre[0]\"\nlower = 0.3\nupper = 0.4\n\
+        [[variables]]\nnumber = \"shapes[0].centre[1]\"\nlower = 0.2\nupper = 0.3\n\
+        [[variables]]\nnumber = \"shapes[0].radius\"\nlower = 0.05\nupper = 0.1\n";
+    let text = IN_TIME.replace("    variables = []\n", "").replace("variables = []\n", "");
+    let periodic = channel(
+        0.05,
+        "method.flow = \"unsteady\"\ntime.end = 0.5\nfluid.drive = \"flow-rate\"\nfluid.flow_rate = 0.2\n",
+    ) + &shape("disc", &[0.5, 0.18, 0.07]);
+    let of_periodic = variables
+        .replace("shapes[0]", "shapes[2]")
+        .replace("0.3\nupper = 0.4", "0.4\nupper = 0.6")
+        .replace("lower = 0.2", "lower = 0.1");
+    for (text, objective) in [
+        (text.clone() + variables, "objective.kind = \"drag\"\n"),
+        (text + variables, "objective.kind = \"shape-heat\"\n"),
+        (periodic + &of_periodic, "objective.kind = \"torque\"\n"),
+    ] {
+        let around = AroundShapes::new(&loaded(&(objective.to_string() + &text))).unwrap();
+        let first = around.first();
+        let (history, _) = around.march(&first, None, &mut |_, _| Ok(())).unwrap();
+        assert!(history.sizes.len() > 10 && history.sizes.iter().any(|dt| *dt != history.sizes[5]));
+        let exact = around.march_gradient(&first, &history).unwrap();
+        let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
+        for k in 0..first.len() {
+            let at = |step: f64| {
+                let mut moved = first.clone();
+                moved[k] += step;
+                let (moved, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(())).unwrap();
+                moved.objective(around.window())
+            };
+            let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
+            let difference = (4.0 * central(5e-5) - central(1e-4)) / 3.0;
+            assert!((difference - exact[k]).abs() < 1e-6 * norm, "{objective} {k}: {} and {difference}", exact[k]);
+        }
+    }
+}

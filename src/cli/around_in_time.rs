@@ -30,7 +30,7 @@ fn course_json(course: &Course) -> Value {
 pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
     let config = &loaded.config;
     let clock = Instant::now();
-    let mut around = AroundShapes::new(config)?;
+    let around = AroundShapes::new(config)?;
     let own = RunFolder::take(folder, "simulate", earlier)?;
     files::write_config(folder, loaded)?;
     let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
@@ -40,7 +40,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     let mut kept = vec![];
     let mut next = 1;
     let mut fastest: f64 = 0.0;
-    let (history, last) = around.march(&mut |moment, solution| {
+    let (history, last) = around.march(&around.first(), None, &mut |moment, solution| {
         bar.set_position((TICKS * moment.time / end) as u64);
         if frames > 0 && moment.time >= end * next as f64 / frames as f64 * (1.0 - 1e-12) {
             kept.push((moment.time, solution.clone()));
@@ -75,10 +75,10 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     );
     print_courses(&history, from, end);
     if around.has_objective() {
-        let objective = history.course(from, &|moment| moment.objective);
+        let objective = history.objective(from);
         let quantity = Figure::of_config(config).quantity;
         let what = if config.objective.terms.is_empty() { quantity } else { "sum of objective.terms" };
-        println!("objective           {:.6}   {what}, mean of the window", objective.mean);
+        println!("objective           {:.6}   {what}, mean of the window", objective);
     }
     print_dimensionless(config, fastest);
     println!(
@@ -149,7 +149,7 @@ fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, 
     if around.has_objective() {
         let objective = history.course(from, &|moment| moment.objective);
         record.put("objective_kind", loaded.config.objective.kind);
-        record.put("objective", objective.mean);
+        record.put("objective", history.objective(from));
         record.put("objective_course", course_json(&objective));
         record.put("objective_at_end", history.moments.last().map(|moment| moment.objective));
     }

@@ -71,7 +71,9 @@ fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) ->
         }
     }
     let area = around.flow.measures.area(&around.flow.at(solution));
-    let through = number(figures, "flow_rate").unwrap_or(0.0).abs().max(1e-3 * fastest(solution));
+    // What goes round in a cavity counts as well.
+    let narrowest = around.config().region.size.iter().fold(f64::MAX, |a, &b| a.min(b));
+    let through = number(figures, "flow_rate").unwrap_or(0.0).abs().max(0.02 * fastest(solution) * narrowest);
     let rest = (solution.state.lambda * area / through).abs();
     if rest > REST {
         found.push(Warning::new(

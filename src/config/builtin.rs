@@ -207,6 +207,21 @@ pub const SCENES: &[BuiltIn] = &[
     ),
 ];
 
+/// Scenes of scene `custom` with an answer of their own: files over it, which have names too.
+pub const EXAMPLES: &[BuiltIn] = &[
+    built_in!(
+        "heated-cavity",
+        "2D flow in a square cavity between a hot and a cold wall, by buoyancy (Nusselt number known)"
+    ),
+    built_in!("schaefer-turek-1", "2D steady flow past a cylinder in a channel, Re = 20 (drag and lift known)"),
+    built_in!("schaefer-turek-2", "the same at Re = 100, with vortices (drag, lift and frequency known)"),
+    built_in!("schaefer-turek-3", "the same with an inflow that comes and goes (drag, lift and pressure known)"),
+    built_in!(
+        "vortex-street",
+        "2D vortices behind a cylinder in an open stream, Re = 100 (frequency, drag and lift known)"
+    ),
+];
+
 /// Presets: sets of keys that `--preset` merges into a scene.
 pub const PRESETS: &[BuiltIn] = &[
     built_in!(
@@ -216,6 +231,11 @@ pub const PRESETS: &[BuiltIn] = &[
     ),
     built_in!("report-jax-sph", "the same with the report's own equations, JAX-SPH's (950 particles)", "presets/"),
 ];
+
+/// The example with a name.
+pub fn example(name: &str) -> Option<&'static BuiltIn> {
+    EXAMPLES.iter().find(|example| example.name == name)
+}
 
 pub fn scene(name: &str) -> Option<&'static BuiltIn> {
     SCENES.iter().find(|scene| scene.name == name)

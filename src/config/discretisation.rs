@@ -18,6 +18,8 @@ section! {
         /// The largest spacing of fixed particles far from bodies, in dx; none: 1.
         #[serde(skip_serializing_if = "Option::is_none")]
         far: Option<f64> = None, Within(1.0, 64.0);
+        #[serde(skip_serializing_if = "Option::is_none")]
+        growth: Option<f64> = None, Within(0.01, 0.3);
     }
 }
 

@@ -19,9 +19,17 @@ section! {
         conductivity: f64 = 7.313, Positive;
         heat_capacity: f64 = 305.27, Positive;
         inlet_temperature: f64 = 1.0, Finite;
+        #[serde(skip_serializing_if = "is_zero")]
+        expansion: f64 = 0.0, Finite;
+        #[serde(skip_serializing_if = "Option::is_none")]
+        reference_temperature: Option<f64> = None, Finite;
         reference_velocity: f64 = 1.0, Positive;
         sound_speed_factor: f64 = 10.0, Within(1.0, 1000.0);
     }
+}
+
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

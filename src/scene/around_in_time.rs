@@ -1,15 +1,17 @@
 //! Custom scenes of fixed particles whose flow goes on in time: steps, and figures of each.
 
 use super::around_shapes::{no_solution, AroundShapes};
+use crate::config::formula::Function;
 use crate::config::scene::Config;
 use crate::error::Error;
 use crate::numerics::{interrupt, threads};
-use crate::sph::cloud::equations::{Condition, Motion, State, Warmth};
+use crate::sph::cloud::equations::{Bar, Condition, Motion, State, Warmth};
 use crate::sph::cloud::figures::{At, Figure, Rate};
 use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use crate::sph::cloud::unsteady::{Control, Flow, InTime, March};
+use crate::sph::cloud::unsteady_adjoint::Taken;
 use std::sync::Arc;
 
 /// The figures of one time, by [`History::names`].
@@ -69,6 +71,28 @@ impl History {
         Course { mean, least, most, frequency }
     }
 
+    /// Of each moment its weight in a mean over time from `from` on, by trapezes.
+    pub fn weights(&self, from: f64) -> Vec<f64> {
+        let mut weights = vec![0.0; self.moments.len()];
+        let first = self.moments.iter().position(|moment| moment.time >= from).unwrap_or(0);
+        for k in first + 1..self.moments.len() {
+            let half = 0.5 * (self.moments[k].time - self.moments[k - 1].time);
+            weights[k - 1] += half;
+            weights[k] += half;
+        }
+        let total: f64 = weights.iter().sum();
+        match weights.last_mut() {
+            Some(last) if total == 0.0 => *last = 1.0,
+            _ => weights.iter_mut().for_each(|weight| *weight /= total),
+        }
+        weights
+    }
+
+    /// The mean objective from `from` on.
+    pub fn objective(&self, from: f64) -> f64 {
+        self.weights(from).iter().zip(&self.moments).filter(|(w, _)| **w != 0.0).map(|(w, m)| w * m.objective).sum()
+    }
+
     /// The course of a figure by its index.
     pub fn of(&self, from: f64, k: usize) -> Course {
         self.course(from, &|moment| moment.values[k])
@@ -79,6 +103,8 @@ impl History {
 struct Boundary<'a> {
     cloud: &'a Cloud,
     shaped: &'a Shaped,
+    /// The formulas of fields at the start that depend on the place.
+    start: Vec<(usize, Function)>,
 }
 
 impl InTime for Boundary<'_> {
@@ -88,6 +114,40 @@ impl InTime for Boundary<'_> {
 
     fn changes(&self) -> bool {
         self.cloud.surroundings.has_time()
+    }
+
+    fn pull_back(&self, time: f64, bar: &Bar, position: &mut [Vec<f64>; 2], _parameters: &mut [f64]) {
+        let inside = self.cloud.places.inside;
+        for (k, by_place) in self.cloud.conditions_back(self.shaped, bar, Some(time)).iter().enumerate() {
+            (0..2).for_each(|d| position[d][inside + k] += by_place[d]);
+        }
+    }
+
+    fn of_start(&self, fields: &[Vec<f64>; 4], bar: &mut Bar, position: &mut [Vec<f64>; 2]) {
+        let inside = self.cloud.places.inside;
+        for (k, condition) in self.shaped.conditions.iter().enumerate() {
+            let to = &mut bar.boundary[k];
+            if let Motion::Given(_) = condition.motion {
+                (0..2).for_each(|e| to.velocity[e] += fields[e][inside + k]);
+            }
+            if let Warmth::Given(_) = condition.warmth {
+                to.temperature += fields[3][inside + k];
+            }
+        }
+        // Formulas of the start know where particles are.
+        let step = 1e-5 * self.cloud.ground.dx;
+        for (f, function) in &self.start {
+            for i in 0..inside {
+                for d in 0..2 {
+                    let at = |sign: f64| {
+                        let mut place = [self.shaped.position[0][i], self.shaped.position[1][i], 0.0];
+                        place[d] += sign * step;
+                        function.at(place)
+                    };
+                    position[d][i] += fields[*f][i] * (at(1.0) - at(-1.0)) / (2.0 * step);
+                }
+            }
+        }
     }
 }
 
@@ -137,43 +197,58 @@ impl AroundShapes {
         all
     }
 
-    /// The flow in time around the shapes as they are, from `[initial]` to `time.end`. `watch` gets each moment and its solution, whose
-    /// derivatives are those at the boundary and where figures are read.
-    ///
-    /// # Errors
-    /// A flow that diverges; [`Error::Stopped`].
-    pub fn march(
-        &mut self,
-        watch: &mut dyn FnMut(&Moment, &Solution) -> Result<(), Error>,
-    ) -> Result<(History, Solution), Error> {
-        let config = self.config().clone();
-        let tolerance = config.unsteady().map_or(1e-4, |fixed| fixed.tolerance);
-        let cloud = &self.flow.cloud;
-        let shaped = cloud.shaped(&cloud.numbers()).map_err(|why| no_solution(&config, &why.into()))?;
-        let (equations, inside) = (cloud.equations(&shaped), cloud.places.inside);
-        let mut state = first_state(&config, &shaped, inside)?;
+    fn begin(&self, variables: &[f64]) -> Result<Begun, Error> {
+        let (config, cloud) = (self.config(), &self.flow.cloud);
+        let shaped = cloud.shaped(&self.numbers(variables)).map_err(|why| no_solution(config, &why.into()))?;
+        let first = first_state(config, &shaped, cloud.places.inside)?;
         let rate = Rate { measures: &self.flow.measures, shaped: &shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
-        let mut march = March::new(equations, &cloud.places.place, &shaped.operators, held, threads::count());
+        let march =
+            March::new(cloud.equations(&shaped), &cloud.places.place, &shaped.operators, held, threads::count());
         let flow_rate = self.flow.held.as_ref().map(|held| match held {
             Held::FlowRate(rate) => *rate,
+            // Refused for flows in time.
             Held::Power { .. } => f64::NAN,
         });
-        state.drive = 0.0;
-        let figures = self.named_figures();
-        let has_objective = self.has_objective();
-        let read_at = self.flow.measures.read_at();
-        let mut history = History { figures, ..History::default() };
-        let boundary = Boundary { cloud, shaped: &shaped };
-        let control = Control {
-            tolerance,
-            velocity: config.fluid.reference_velocity,
-            fixed: config.time.step,
-            end: config.time.end,
+        let (velocity, temperature) = config.initial.at_start(2)?;
+        let start = velocity.into_iter().enumerate().chain(temperature.map(|function| (3, function)));
+        let start = start.filter(|(_, function)| !function.is_constant()).collect();
+        Ok(Begun { shaped: Arc::new(shaped), first, march, flow_rate, start })
+    }
+
+    /// The flow in time for these variables, from `[initial]` to `time.end`; `sizes`: those of the steps of an earlier run. `watch` gets
+    /// each moment and its solution, whose derivatives are those at the boundary and where figures are read.
+    ///
+    /// # Errors
+    /// A cloud that folds, a flow that diverges; [`Error::Stopped`].
+    pub fn march(
+        &self,
+        variables: &[f64],
+        sizes: Option<&[f64]>,
+        watch: &mut dyn FnMut(&Moment, &Solution) -> Result<(), Error>,
+    ) -> Result<(History, Solution), Error> {
+        let config = self.config();
+        let tolerance = config.unsteady().map_or(1e-4, |fixed| fixed.tolerance);
+        let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
+        let cloud = &self.flow.cloud;
+        let mut history = History { figures: self.named_figures(), ..History::default() };
+        let (has_objective, read_at) = (self.has_objective(), self.flow.measures.read_at());
+        let boundary = Boundary { cloud, shaped: &shaped, start };
+        let equations = march.equations().clone();
+        let (mut last, mut moments) = (None, vec![]);
+        let mut seen = |time: f64, _: f64, state: &State| -> Result<(), Failure> {
+            interrupt::check().map_err(Failure::Other)?;
+            let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
+            let at = At { equations: &equations, shaped: &shaped, state, d: &derivatives };
+            let values = history.figures.iter().map(|(_, figure)| self.value_at(&at, *figure)).collect();
+            let objective = if has_objective { self.objective_at(&at).0 } else { f64::NAN };
+            let moment = Moment { time, values, objective };
+            let solution = Solution { shaped: Arc::clone(&shaped), state: state.clone(), derivatives };
+            watch(&moment, &solution).map_err(Failure::Other)?;
+            moments.push(moment);
+            last = Some(solution);
+            Ok(())
         };
-        let of_figures = march.equations().clone();
-        let mut last = None;
-        let mut moments = vec![];
         let mut flow = Flow {
             march: &mut march,
             operators: &shaped.operators,
@@ -181,35 +256,79 @@ impl AroundShapes {
             flow_rate,
             spacing: &cloud.places.spacing,
         };
-        let around = &*self;
-        let shared = Arc::new(shaped.clone());
-        let mut seen = |time: f64, _: f64, state: &State| -> Result<(), Failure> {
-            interrupt::check().map_err(|_| Failure::Other(Error::Stopped))?;
-            let derivatives = of_figures.derivatives_at(&shared.operators, state, &read_at);
-            let at = At { equations: &of_figures, shaped: &shared, state, d: &derivatives };
-            let values = history.figures.iter().map(|(_, figure)| around.value_at(&at, *figure)).collect();
-            let objective = if has_objective { around.objective_at(&at).0 } else { f64::NAN };
-            let moment = Moment { time, values, objective };
-            let solution = Solution { shaped: Arc::clone(&shared), state: state.clone(), derivatives };
-            watch(&moment, &solution).map_err(Failure::Other)?;
-            moments.push(moment);
-            last = Some(solution);
-            Ok(())
+        let control = Control {
+            tolerance,
+            velocity: config.fluid.reference_velocity,
+            fixed: config.time.step,
+            end: config.time.end,
         };
-        let sizes = flow.run(state, control, &mut seen).map_err(|failure| match failure {
+        let taken = match sizes {
+            Some(sizes) => flow.repeat(first, sizes, &mut seen).map(|()| sizes.to_vec()),
+            None => flow.run(first, control, &mut seen),
+        };
+        history.sizes = taken.map_err(|failure| match failure {
             Failure::Flow(NoSteadyState::Diverged { residual: time }) => Error::diverged(
                 format!("the flow is not finite after t = {time:.4}"),
                 format!("method.tolerance={:e}, or {}", 0.1 * tolerance, self.finer_advice()),
             ),
-            Failure::Flow(why) => no_solution(&config, &NoSolution::Flow(why)),
+            Failure::Flow(why) => no_solution(config, &NoSolution::Flow(why)),
             Failure::Other(error) => error,
         })?;
         history.factorisations = march.factorisations;
         history.moments = moments;
-        history.sizes = sizes;
         let last = last.ok_or_else(|| Error::run("no step was taken".to_string(), "time.end above 0"))?;
         Ok((history, last))
     }
+
+    /// The beginning of the window over which the objective is averaged.
+    pub fn window(&self) -> f64 {
+        let config = self.config();
+        config.time.end - config.objective.window.min(config.time.end)
+    }
+
+    /// The derivative of the mean objective of the window by the variables, along the steps of a history.
+    ///
+    /// # Errors
+    /// As [`Self::march`].
+    pub fn march_gradient(&self, variables: &[f64], history: &History) -> Result<Vec<f64>, Error> {
+        let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
+        let cloud = &self.flow.cloud;
+        let boundary = Boundary { cloud, shaped: &shaped, start };
+        let weights = history.weights(self.window());
+        let (equations, read_at) = (march.equations().clone(), self.flow.measures.read_at());
+        let mut figures = |k: usize, state: &State, bar: &mut Bar| {
+            if weights[k] == 0.0 {
+                return;
+            }
+            let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
+            let at = At { equations: &equations, shaped: &shaped, state, d: &derivatives };
+            for (figure, weight) in self.objective_at(&at).1 {
+                self.flow.measures.pull_back(figure, &at, weights[k] * weight, bar);
+            }
+        };
+        let taken = Taken {
+            operators: &shaped.operators,
+            position: &shaped.position,
+            boundary: &boundary,
+            flow_rate,
+            first: &first,
+            sizes: &history.sizes,
+            read_at: &read_at,
+        };
+        let found = taken
+            .pull_back(&mut march, &mut figures, 0)
+            .map_err(|why| no_solution(self.config(), &NoSolution::Flow(why)))?;
+        Ok(cloud.by_numbers(&shaped, &found.position, &found.bar, &self.wanted, None))
+    }
+}
+
+/// What a flow begins with.
+struct Begun {
+    shaped: Arc<Shaped>,
+    first: State,
+    march: March,
+    flow_rate: Option<f64>,
+    start: Vec<(usize, Function)>,
 }
 
 enum Failure {

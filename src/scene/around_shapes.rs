@@ -8,7 +8,7 @@ use crate::config::scene::{Asked, Config, DriveName, Goal, LimitEntry, Objective
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
-use crate::sph::cloud::equations::{Motion, Warmth};
+use crate::sph::cloud::equations::{Buoyancy, Motion, Warmth};
 use crate::sph::cloud::figures::{At, Figure};
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
@@ -23,6 +23,8 @@ use std::sync::Arc;
 /// Flows around bodies are stable below this Reynolds number by the fastest particle. (Vortices begin behind a cylinder at 46 by the
 /// stream far away, which is slower.)
 const STABLE: f64 = 40.0;
+/// Growth of the spacing far from bodies, per distance.
+const GROWTH: f64 = 0.15;
 /// Corners are rounded to this radius, in spacings of the surface.
 const ROUNDED: f64 = 1.0;
 
@@ -146,7 +148,10 @@ impl AroundShapes {
             viscosity: config.kinematic_viscosity(),
             diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
             force: [region.acceleration[0], region.acceleration[1]],
-            buoyancy: None,
+            buoyancy: (fluid.expansion != 0.0).then(|| Buoyancy {
+                by: [0, 1].map(|e| -fluid.expansion * region.acceleration[e]),
+                at: fluid.reference_temperature.unwrap_or(fluid.inlet_temperature) - fluid.inlet_temperature,
+            }),
             velocity: fluid.reference_velocity,
         };
         let held = match fluid.drive {
@@ -156,7 +161,14 @@ impl AroundShapes {
                 fluid.pumping_power.map(|power| Held::Power { power: power / fluid.density, length: region.size[0] })
             }
         };
-        let ground = Ground { plane, dx, surface, far: config.resolution.far.unwrap_or(1.0), outlines };
+        let ground = Ground {
+            plane,
+            dx,
+            surface,
+            far: config.resolution.far.unwrap_or(1.0),
+            growth: config.resolution.growth.unwrap_or(GROWTH),
+            outlines,
+        };
         let threads = threads::count();
         let cloud =
             Cloud::new(ground, materials, Arc::new(conditions), threads).map_err(|why| unusable(config, &why))?;
@@ -207,7 +219,7 @@ impl AroundShapes {
         self.wanted.iter().map(|&(shape, k)| numbers[shape][k]).collect()
     }
 
-    fn numbers(&self, variables: &[f64]) -> Vec<Vec<f64>> {
+    pub(super) fn numbers(&self, variables: &[f64]) -> Vec<Vec<f64>> {
         let mut numbers = self.flow.cloud.numbers();
         self.wanted.iter().zip(variables).for_each(|(&(shape, k), x)| numbers[shape][k] = *x);
         numbers

@@ -322,6 +322,10 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
     if let Some(scene) = builtin::scene(name) {
         return Ok((scene, None, Source::BuiltIn(scene.name)));
     }
+    if let Some(example) = builtin::example(name) {
+        let layer = Layer::from_text::<Config>(name, example.text())?;
+        return Ok((Family::Custom.built_in(), Some(layer), Source::BuiltIn(example.name)));
+    }
     let path = Path::new(name);
     let text = std::fs::read_to_string(path).map_err(|error| unreadable(name, path, &error))?;
     let folder = path.parent().unwrap_or(Path::new(""));

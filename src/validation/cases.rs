@@ -1,5 +1,6 @@
 //! The table of cases.
 
+use super::benchmark::Benchmark;
 use super::Measure;
 
 /// A scene with a known answer.
@@ -149,5 +150,35 @@ pub fn all() -> Vec<Case> {
             .compares(Measure::Gradient, "1 - cosine of dQ / d wall", FEM)
             .quick(&["resolution.dx=0.02"], 0.03)
             .full(&["resolution.dx=0.01"], 0.01),
+        Case::new("heated-cavity", "heated-cavity", &[])
+            .compares(
+                Measure::Published(Benchmark::HeatedCavity),
+                "mean Nusselt number",
+                "de Vahl Davis (1983), Le Quere (1991)",
+            )
+            .quick(&["fluid.expansion=710", "fluid.reference_velocity=5"], 5e-3)
+            .quick(&["fluid.expansion=7100", "fluid.reference_velocity=20"], 5e-3)
+            .quick(&["fluid.expansion=71000", "fluid.reference_velocity=70"], 5e-3)
+            .full(&["fluid.expansion=710000", "fluid.reference_velocity=220", "resolution.dx=0.0078125"], 5e-3),
+        Case::new("schaefer-turek-1", "schaefer-turek-1", &[])
+            .compares(
+                Measure::Published(Benchmark::SchaeferTurek1),
+                "drag, pressures, a third of the lift's error",
+                "Nabh (1998)",
+            )
+            .full(&[], 1e-2),
+        Case::new("schaefer-turek-2", "schaefer-turek-2", &[])
+            .compares(
+                Measure::Published(Benchmark::SchaeferTurek2),
+                "largest drag and lift, frequency, pressures",
+                "Schaefer and Turek (1996)",
+            )
+            .full(&[], 1e-2),
+        Case::new("schaefer-turek-3", "schaefer-turek-3", &[])
+            .compares(Measure::Published(Benchmark::SchaeferTurek3), "largest drag and lift, pressures", "John (2004)")
+            .full(&[], 1e-2),
+        Case::new("vortex-street", "vortex-street", &[])
+            .compares(Measure::Published(Benchmark::VortexStreet), "frequency, mean drag, lift", "Re = 100, published")
+            .full(&[], 3e-2),
     ]
 }

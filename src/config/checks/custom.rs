@@ -134,8 +134,14 @@ impl Config {
         if self.resolution.far.is_some() {
             return bad("resolution.far", String::new());
         }
+        if self.resolution.growth.is_some() {
+            return bad("resolution.growth", String::new());
+        }
         if self.fluid.drive != DriveName::BodyForce {
             return bad("fluid.drive", " that holds something".into());
+        }
+        if self.fluid.expansion != 0.0 {
+            return bad("fluid.expansion", String::new());
         }
         match self.shapes.iter().position(|shape| shape.heat_flux.is_some()) {
             Some(k) => bad(&format!("shapes[{k}].heat_flux"), String::new()),
@@ -212,6 +218,11 @@ impl Config {
                 return Err(bad(&key("kind"), format!("and region.periodic = {:?} do not agree", region.periodic))
                     .allowed("region.periodic = true for both sides that are periodic, and false for all others"));
             }
+        }
+        if self.fluid.expansion != 0.0 && !has_heat {
+            return Err(bad("fluid.expansion", "in a scene without heat".into())
+                .allowed("with initial.temperature, which gives the scene its heat")
+                .advice("initial.temperature=1.0"));
         }
         self.check_objective_of_shapes(has_heat)
     }

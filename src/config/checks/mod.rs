@@ -41,6 +41,7 @@ impl Schema for Config {
         config.limits = vec![LimitEntry::default()];
         (config.objective.shapes, config.objective.terms) = (vec![0], vec![Term::default()]);
         (config.resolution.surface, config.resolution.far) = (Some(0.01), Some(1.0));
+        config.resolution.growth = Some(0.1);
         config.objective.goal = Goal::Smaller;
         config.objective.at = Some([0.0; 2]);
         let side = Some(Side {
@@ -53,6 +54,7 @@ impl Schema for Config {
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
         config.initial.temperature = Some(Formula("1 + x".into()));
         config.exact.temperature = Some(Formula("1 + x".into()));
+        (config.fluid.expansion, config.fluid.reference_temperature) = (1.0, Some(1.0));
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));
         config.design.nodes = Some(vec![]);
         config.design.offsets = Some(vec![]);

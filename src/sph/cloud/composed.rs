@@ -3,7 +3,7 @@
 //! Newton's method uses the fused residual, matrix and adjoint; this one has the same equations written once more, and candle's
 //! autograd gives its derivatives by state and positions, to which those are compared.
 
-use super::equations::{Equations, Motion, Warmth};
+use super::equations::{Buoyancy, Equations, Motion, Warmth};
 use super::fit::{Stencils, LEFT};
 use crate::sph::consistent::composed::{factorised, solved};
 use candle_core::{Device, Result, Tensor};
@@ -97,9 +97,13 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
         ((carried(d)? - diffused(d, equations.viscosity)?)? + push)?.affine(1.0, -force)
     };
     let damping = Tensor::new(equations.damping.clone(), &Device::Cpu)?;
+    let lifted = |row: Tensor, e: usize| match equations.buoyancy {
+        Some(Buoyancy { by, at }) => row - t.affine(by[e], -by[e] * at)?,
+        None => Ok(row),
+    };
     let within = [
-        moved(du, &dp[0], equations.force[0])?,
-        moved(dv, &dp[1], equations.force[1])?,
+        lifted(moved(du, &dp[0], equations.force[0])?, 0)?,
+        lifted(moved(dv, &dp[1], equations.force[1])?, 1)?,
         ((&du[0] + &dv[1])? - dp[LEFT].mul(&damping)?)?,
         (carried(dt)? - diffused(dt, alpha)?)?,
     ];

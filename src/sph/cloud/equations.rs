@@ -146,6 +146,11 @@ impl Equations {
         (0..self.inside).map(of).collect()
     }
 
+    /// Buoyancy on a particle along e.
+    fn lift(&self, state: &State, i: usize, e: usize) -> f64 {
+        self.buoyancy.map_or(0.0, |buoyancy| buoyancy.by[e] * (state.fields[3][i] - buoyancy.at))
+    }
+
     /// Residuals of momentum and continuity, `[N, 3]`.
     pub fn flow_residual(&self, state: &State, d: &Derivatives) -> Vec<f64> {
         let [u, v, p, _] = &state.fields;
@@ -158,8 +163,12 @@ impl Equations {
                 row[0] = u[i] * du[i][0] + v[i] * du[i][1] + dp[i][0]
                     - nu * (du[i][2] + du[i][4])
                     - self.force[0]
+                    - self.lift(state, i, 0)
                     - state.drive;
-                row[1] = u[i] * dv[i][0] + v[i] * dv[i][1] + dp[i][1] - nu * (dv[i][2] + dv[i][4]) - self.force[1];
+                row[1] = u[i] * dv[i][0] + v[i] * dv[i][1] + dp[i][1]
+                    - nu * (dv[i][2] + dv[i][4])
+                    - self.force[1]
+                    - self.lift(state, i, 1);
                 continue;
             }
             match self.conditions[i - self.inside].motion {
@@ -194,14 +203,22 @@ impl Equations {
         (0..self.particles()).map(of).collect()
     }
 
-    /// The derivative of [`Self::flow_residual`] by u, v, p, in the structure of `matrix`.
+    /// The derivative of [`Self::flow_residual`] by u, v, p, in the structure of `matrix`; in one of blocks of four that of the heat's
+    /// residual too, and by T.
     pub fn flow_matrix(&self, state: &State, d: &Derivatives, operators: &Coefficients, matrix: &mut BlockMatrix) {
         let [u, v, ..] = &state.fields;
         let [du, dv, ..] = &d.0;
         matrix.values.fill(0.0);
+        let size = matrix.size;
+        let add = |to: &mut [f64], block: &[f64; 9]| {
+            for (k, value) in block.iter().enumerate() {
+                to[k / 3 * size + k % 3] += value;
+            }
+        };
         for i in 0..self.particles() {
             let diagonal = matrix.entry(i, i as u32);
             let mut own = [0.0; 9];
+            let mut own_heat = 0.0;
             for k in 0..self.stencils.neighbours {
                 let c = operators.of(i, k);
                 let mut block = [0.0; 9];
@@ -223,7 +240,12 @@ impl Equations {
                     *own -= value;
                 }
                 let entry = matrix.entry(i, self.stencils.neighbour(i, k) as u32);
-                matrix.block_mut(entry).iter_mut().zip(&block).for_each(|(to, value)| *to += value);
+                add(matrix.block_mut(entry), &block);
+                if size == 4 {
+                    let heat = self.heat_entry(state, i, &c);
+                    own_heat -= heat;
+                    matrix.block_mut(entry)[15] += heat;
+                }
             }
             if i < self.inside {
                 own[0] += du[i][0];
@@ -237,42 +259,71 @@ impl Equations {
                     Motion::Outflow(_) => own[8] = 1.0,
                 }
             }
-            matrix.block_mut(diagonal).iter_mut().zip(&own).for_each(|(to, value)| *to += value);
+            let block = matrix.block_mut(diagonal);
+            add(block, &own);
+            if size == 4 {
+                block[15] += self.heat_diagonal(i, own_heat);
+                if i < self.inside {
+                    (0..2).for_each(|e| block[12 + e] += d.0[3][i][e]);
+                    (0..2).for_each(|e| block[4 * e + 3] -= self.buoyancy.map_or(0.0, |buoyancy| buoyancy.by[e]));
+                }
+            }
+        }
+    }
+
+    /// The derivative of the heat's residual at particle i by the temperature of a neighbour with coefficients c.
+    fn heat_entry(&self, state: &State, i: usize, c: &[f64; COEFFICIENTS]) -> f64 {
+        let ([u, v, ..], alpha) = (&state.fields, self.diffusivity.unwrap_or(0.0));
+        match (i >= self.inside).then(|| self.conditions[i - self.inside]) {
+            None => u[i] * c[0] + v[i] * c[1] - alpha * (c[2] + c[4]),
+            Some(Condition { warmth: Warmth::Given(_), .. }) => 0.0,
+            Some(Condition { normal, .. }) => {
+                alpha * (normal[0] * c[0] + normal[1] * c[1] + self.smoothing(i) * c[LEFT])
+            }
+        }
+    }
+
+    /// The same by its own temperature, given what the neighbours' entries leave for it.
+    fn heat_diagonal(&self, i: usize, own: f64) -> f64 {
+        match (i >= self.inside).then(|| self.conditions[i - self.inside].warmth) {
+            Some(Warmth::Given(_)) => 1.0,
+            _ => own,
         }
     }
 
     /// The derivative of [`Self::heat_residual`] by T.
     pub fn heat_matrix(&self, state: &State, operators: &Coefficients, matrix: &mut BlockMatrix) {
-        let ([u, v, ..], alpha) = (&state.fields, self.diffusivity.unwrap_or(0.0));
         matrix.values.fill(0.0);
         for i in 0..self.particles() {
-            let condition = (i >= self.inside).then(|| self.conditions[i - self.inside]);
             let mut own = 0.0;
             for k in 0..self.stencils.neighbours {
-                let c = operators.of(i, k);
-                let value = match condition {
-                    None => u[i] * c[0] + v[i] * c[1] - alpha * (c[2] + c[4]),
-                    Some(Condition { warmth: Warmth::Given(_), .. }) => 0.0,
-                    Some(Condition { normal, .. }) => {
-                        alpha * (normal[0] * c[0] + normal[1] * c[1] + self.smoothing(i) * c[LEFT])
-                    }
-                };
+                let value = self.heat_entry(state, i, &operators.of(i, k));
                 own -= value;
                 let entry = matrix.entry(i, self.stencils.neighbour(i, k) as u32);
                 matrix.values[entry] += value;
             }
             let diagonal = matrix.entry(i, i as u32);
-            matrix.values[diagonal] += match condition {
-                Some(Condition { warmth: Warmth::Given(_), .. }) => 1.0,
-                _ => own,
-            };
+            matrix.values[diagonal] += self.heat_diagonal(i, own);
         }
     }
 
     /// The cotangents of the derivatives and of the boundary's numbers, given those of the residuals: `flow` `[N, 3]`,
     /// `heat` `[N]`, added to `bar`.
     pub fn pull_back(&self, state: &State, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
+        self.pull_back_linear(d, flow, heat, bar);
         let [u, v, ..] = &state.fields;
+        for i in 0..self.inside {
+            let heat = heat.filter(|_| self.diffusivity.is_some()).map(|heat| (3, heat[i]));
+            for (f, row) in [(0, flow[3 * i]), (1, flow[3 * i + 1])].into_iter().chain(heat) {
+                let to = &mut bar.derivatives.0[f][i];
+                to[0] += u[i] * row;
+                to[1] += v[i] * row;
+            }
+        }
+    }
+
+    /// The same without what the flow carries.
+    pub fn pull_back_linear(&self, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
         let Derivatives([du_bar, dv_bar, dp_bar, dt_bar]) = &mut bar.derivatives;
         for i in 0..self.particles() {
             let row = &flow[3 * i..3 * i + 3];
@@ -285,8 +336,6 @@ impl Equations {
             match motion {
                 None => {
                     for (bar, row) in [(&mut du_bar[i], row[0]), (&mut dv_bar[i], row[1])] {
-                        bar[0] += u[i] * row;
-                        bar[1] += v[i] * row;
                         bar[2] -= self.viscosity * row;
                         bar[4] -= self.viscosity * row;
                     }
@@ -307,8 +356,6 @@ impl Equations {
             let (Some(heat), Some(alpha)) = (heat, self.diffusivity) else { continue };
             if i < self.inside {
                 let row = heat[i];
-                dt_bar[i][0] += u[i] * row;
-                dt_bar[i][1] += v[i] * row;
                 dt_bar[i][2] -= alpha * row;
                 dt_bar[i][4] -= alpha * row;
                 continue;

@@ -21,4 +21,5 @@ pub mod placing;
 pub mod problem;
 pub mod steady;
 pub mod unsteady;
+pub mod unsteady_adjoint;
 pub mod wall_fit;

@@ -174,6 +174,18 @@ impl<'a> Sight<'a> {
     }
 }
 
+/// The cotangents of a point of the boundary times the difference of two conditions.
+pub fn difference(bar: &BoundaryBar, up: (Motion, Warmth), down: (Motion, Warmth)) -> f64 {
+    let number = |warmth: Warmth| match warmth {
+        Warmth::Given(x) | Warmth::Flux(x) => x,
+    };
+    let moves = match (up.0, down.0) {
+        (Motion::Given(a), Motion::Given(b)) => (0..2).map(|e| bar.velocity[e] * (a[e] - b[e])).sum(),
+        _ => 0.0,
+    };
+    moves + bar.temperature * (number(up.1) - number(down.1))
+}
+
 impl Cloud {
     /// Places particles around the shapes of `ground`.
     ///
@@ -309,44 +321,41 @@ impl Cloud {
         Ok(())
     }
 
-    /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary.
+    /// Of each point of the boundary the cotangent of its place that those of its given velocity and temperature make at a time; zeros
+    /// without a time.
+    pub fn conditions_back(&self, shaped: &Shaped, bar: &Bar, time: Option<f64>) -> Vec<[f64; 2]> {
+        let inside = self.places.inside;
+        let of = |k: usize| {
+            let point = &self.places.boundary[k];
+            let varies = point.on.is_some_and(|(shape, _)| self.surroundings.varies(shape));
+            let Some(time) = time.filter(|_| varies) else { return [0.0; 2] };
+            let place = [shaped.position[0][inside + k], shaped.position[1][inside + k]];
+            let step = 1e-5 * self.ground.dx;
+            std::array::from_fn(|d| {
+                let at = |sign: f64| {
+                    let mut p = place;
+                    p[d] += sign * step;
+                    self.surroundings.condition(point, p, time)
+                };
+                difference(&bar.boundary[k], at(1.0), at(-1.0)) / (2.0 * step)
+            })
+        };
+        (0..self.places.boundary.len()).map(of).collect()
+    }
+
+    /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that
+    /// depend on the place; none if their cotangents are in those of positions.
     pub fn by_numbers(
         &self,
         shaped: &Shaped,
         position_bar: &[Vec<f64>; 2],
         bar: &Bar,
         wanted: &[(usize, usize)],
+        time: Option<f64>,
     ) -> Vec<f64> {
-        let inside = self.places.inside;
         let place_bar: [Vec<f64>; 2] = std::array::from_fn(|d| self.deformation.pull_back(&position_bar[d]));
         let on_shapes = self.on_shapes();
-        // Conditions that depend on the place of a point.
-        let by_condition: Vec<[f64; 2]> = (0..self.places.boundary.len())
-            .map(|k| {
-                let point = &self.places.boundary[k];
-                if !point.on.is_some_and(|(shape, _)| self.surroundings.varies(shape)) {
-                    return [0.0; 2];
-                }
-                let place = [shaped.position[0][inside + k], shaped.position[1][inside + k]];
-                let step = 1e-5 * self.ground.dx;
-                std::array::from_fn(|d| {
-                    let at = |sign: f64| {
-                        let mut p = place;
-                        p[d] += sign * step;
-                        self.surroundings.condition(point, p, 0.0)
-                    };
-                    let (up, down) = (at(1.0), at(-1.0));
-                    let mut sum = 0.0;
-                    if let (Motion::Given(a), Motion::Given(b)) = (up.0, down.0) {
-                        sum += (0..2).map(|e| bar.boundary[k].velocity[e] * (a[e] - b[e])).sum::<f64>();
-                    }
-                    let number = |warmth: Warmth| match warmth {
-                        Warmth::Given(x) | Warmth::Flux(x) => x,
-                    };
-                    (sum + bar.boundary[k].temperature * (number(up.1) - number(down.1))) / (2.0 * step)
-                })
-            })
-            .collect();
+        let by_condition = self.conditions_back(shaped, bar, time);
         let of = |&(shape, number): &(usize, usize)| {
             let (points, parameters) = &on_shapes[shape];
             let slopes = self.ground.outlines[shape].slopes(parameters, &shaped.numbers[shape], number);

@@ -21,6 +21,8 @@ pub struct Ground {
     pub surface: f64,
     /// The largest spacing far from bodies, in dx.
     pub far: f64,
+    /// Growth of the spacing far from bodies, per distance.
+    pub growth: f64,
     /// Outlines by shape.
     pub outlines: Vec<Outline>,
 }
@@ -72,9 +74,8 @@ pub enum Unplaceable {
 const GROWTH: f64 = 0.25;
 const LAYERS: usize = 2;
 const RELAXATIONS: usize = 30;
-/// Growth of the spacing far from bodies, per distance, and the least distance of points there, in spacings, before they repel each
-/// other. (A lattice that is coarser by whole factors of two is as accurate, but flows in time are not stable there.)
-const COARSER: f64 = 0.15;
+/// The least distance of points where the spacing is coarser, in spacings, before they repel each other. (A lattice that is
+/// coarser by whole factors of two is as accurate, but flows in time are not stable there.)
 const APART: f64 = 0.85;
 /// Farther from surfaces, in dx, there are neither layers nor displaced points.
 const FAR: f64 = 12.0;
@@ -449,7 +450,7 @@ impl Ground {
             return self.dx;
         }
         let distance = bodies.iter().map(|q| self.plane.distance(p, *q)).fold(f64::INFINITY, f64::min);
-        self.dx * (1.0 + COARSER * (distance / self.dx - 8.0)).clamp(1.0, self.far)
+        self.dx * (1.0 + self.growth * (distance / self.dx - 8.0)).clamp(1.0, self.far)
     }
 
     /// Whether the spacing is that of the lattice.

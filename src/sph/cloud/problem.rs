@@ -170,6 +170,6 @@ impl SteadyFlow {
             self.measures.pull_back(Figure::FlowRate, &self.at(solution), -multiplier * factor, &mut bar);
         }
         let positions = equations.by_positions(&shaped.position, state, &bar);
-        Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted))
+        Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0)))
     }
 }

@@ -63,7 +63,7 @@ const ITERATIONS: usize = 14;
 /// The same for an adjoint, which is solved to more digits.
 const ADJOINT_ITERATIONS: usize = 40;
 
-/// A steady solver for one cloud; it keeps factors from state to state and from shape to shape.
+/// A steady solver for one cloud. With buoyancy the heat acts on the flow, and is one of its unknowns. It keeps factors from state to state and from shape to shape.
 pub struct Solver {
     pub equations: Equations,
     pub threads: usize,
@@ -94,7 +94,7 @@ pub(super) struct Border {
     pub pins: bool,
 }
 
-/// The unknown whose pressure is 0.
+/// The unknown that is the pressure of particle 0.
 const PIN: usize = 2;
 
 pub(super) struct Factors {
@@ -131,13 +131,13 @@ fn dense(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     b
 }
 
-/// Adds a rate of change of the velocity of particles inside.
+/// Adds a rate of change of the velocity (and temperature) of particles inside.
 fn add_rate(flow: &mut BlockMatrix, inside: usize, rate: f64) {
+    let size = flow.size;
     for i in 0..inside {
         let entry = flow.entry(i, i as u32);
         let block = flow.block_mut(entry);
-        block[0] += rate;
-        block[4] += rate;
+        (0..size).filter(|f| *f != 2).for_each(|f| block[f * size + f] += rate);
     }
 }
 
@@ -145,8 +145,8 @@ impl Factors {
     fn new(order: &Arc<Order>, matrix: &BlockMatrix, border: &Border, threads: usize) -> Result<Self, Singular> {
         let mut matrix = matrix.clone();
         if border.pins {
-            let entry = matrix.entry(PIN / 3, (PIN / 3) as u32);
-            matrix.block_mut(entry)[8] += 1.0;
+            let (entry, size) = (matrix.entry(0, 0), matrix.size);
+            matrix.block_mut(entry)[PIN * size + PIN] += 1.0;
         }
         let lu = SparseLu::new(order, &matrix, threads)?;
         let mut factors = Self { lu, matrix, border: border.clone(), columns: vec![], rows: OnceCell::new() };
@@ -207,9 +207,20 @@ impl Factors {
 impl Solver {
     /// A solver for particles at these places of the reference cloud.
     pub fn new(equations: Equations, places: &[[f64; 2]], threads: usize) -> Self {
-        let (flow, heat) = (equations.stencils.matrix(3), equations.stencils.matrix(1));
+        let size = if equations.buoyancy.is_some() { 4 } else { 3 };
+        Self::of_size(equations, places, size, threads)
+    }
+
+    /// A solver whose flow has three unknowns, or four with the temperature.
+    pub(super) fn of_size(equations: Equations, places: &[[f64; 2]], size: usize, threads: usize) -> Self {
+        let (flow, heat) = (equations.stencils.matrix(size), equations.stencils.matrix(1));
         let order = Arc::new(Order::new(&flow, |i| places[i]));
         Self { equations, threads, order, flow, heat, factors: None, counts: Counts::default() }
+    }
+
+    /// Whether the temperature is among the unknowns of the flow.
+    fn is_coupled(&self) -> bool {
+        self.flow.size == 4
     }
 
     fn border(
@@ -219,18 +230,20 @@ impl Solver {
         operators: &Coefficients,
         held: Option<(&Held, &dyn FlowRate)>,
     ) -> Border {
-        let (equations, n) = (&self.equations, self.equations.particles());
+        let (equations, n, s) = (&self.equations, self.equations.particles(), self.flow.size);
         let mut border = Border { pins: !equations.gives_pressure(), ..Border::default() };
         if border.pins {
-            let mut row = vec![0.0; 3 * n];
+            let mut row = vec![0.0; s * n];
             row[PIN] = 1.0;
-            border.columns.push((0..3 * n).map(|k| if k % 3 == 2 { 1.0 } else { 0.0 }).collect());
+            border.columns.push((0..s * n).map(|k| if k % s == 2 { 1.0 } else { 0.0 }).collect());
             border.rows.push(row);
         }
         if let Some((held, rate)) = held {
-            let column = (0..3 * n).map(|k| if k % 3 == 0 && k / 3 < equations.inside { -1.0 } else { 0.0 });
+            let column = (0..s * n).map(|k| if k % s == 0 && k / s < equations.inside { -1.0 } else { 0.0 });
             border.columns.push(column.collect());
-            let mut row = rate.by_state(equations, operators);
+            let by_state = rate.by_state(equations, operators);
+            let mut row: Vec<f64> =
+                (0..s * n).map(|k| if k % s < 3 { by_state[k / s * 3 + k % s] } else { 0.0 }).collect();
             if let Held::Power { .. } = held {
                 let push = equations.force[0] + state.drive;
                 row.iter_mut().for_each(|x| *x *= push);
@@ -245,11 +258,15 @@ impl Solver {
         border
     }
 
-    /// Residuals of flow and border, `[3 N + m]`.
+    /// Residuals of flow (and heat) and border, `[3 N + m]` or `[4 N + m]`.
     fn residual(&self, state: &State, d: &Derivatives, held: Option<(&Held, &dyn FlowRate)>) -> Vec<f64> {
         let mut residual = self.equations.flow_residual(state, d);
+        if self.is_coupled() {
+            let heat = self.equations.heat_residual(state, d);
+            residual = residual.chunks_exact(3).zip(heat).flat_map(|(row, t)| [row[0], row[1], row[2], t]).collect();
+        }
         if !self.equations.gives_pressure() {
-            residual.push(state.fields[2][PIN / 3]);
+            residual.push(state.fields[2][0]);
         }
         if let Some((held, rate)) = held {
             let flow = rate.value(&self.equations, state, d);
@@ -323,14 +340,14 @@ impl Solver {
         state: &mut State,
         held: Option<(&Held, &dyn FlowRate)>,
     ) -> Result<(), NoSteadyState> {
-        let n = self.equations.particles();
+        let (n, s) = (self.equations.particles(), self.flow.size);
         // The first factors are those of a flow at rest, which are of no use for the next step.
         let is_cold = self.factors.is_none();
         // The residual of the first state.
         let mut scale = None;
         let mut last = f64::INFINITY;
         for step in 0..STEPS {
-            let d = self.equations.derivatives(operators, state, false);
+            let d = self.equations.derivatives(operators, state, self.is_coupled());
             let residual = self.residual(state, &d, held);
             let largest = residual.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
             if !largest.is_finite() || largest > 1e12 {
@@ -339,7 +356,7 @@ impl Solver {
             let scale = *scale.get_or_insert(largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE));
             // Below this rounding of second derivatives may keep it from falling.
             if largest <= TOLERANCE * scale || (largest <= 1e-8 * scale && largest > 0.2 * last) {
-                return self.settle_heat(operators, state);
+                return if self.is_coupled() { Ok(()) } else { self.settle_heat(operators, state) };
             }
             last = largest;
             self.equations.flow_matrix(state, &d, operators, &mut self.flow);
@@ -350,9 +367,9 @@ impl Solver {
             let change = self.solved(&border, &right, tolerance, most, false)?;
             self.counts.steps += 1;
             for i in 0..n {
-                (0..3).for_each(|f| state.fields[f][i] += change[3 * i + f]);
+                (0..s).for_each(|f| state.fields[f][i] += change[s * i + f]);
             }
-            let mut extra = change[3 * n..].iter();
+            let mut extra = change[s * n..].iter();
             if !self.equations.gives_pressure() {
                 state.lambda += extra.next().copied().unwrap_or(0.0);
             }
@@ -390,11 +407,11 @@ impl Solver {
         drive_bar: f64,
         held: Option<(&Held, &dyn FlowRate)>,
     ) -> Result<(Vec<f64>, Option<Vec<f64>>), NoSteadyState> {
-        let n = self.equations.particles();
+        let (n, s) = (self.equations.particles(), self.flow.size);
         let d = self.equations.derivatives(operators, state, true);
         let mut heat = None;
-        let mut flow_bar: Vec<f64> = (0..3 * n).map(|k| bar[k % 3][k / 3]).collect();
-        if self.equations.diffusivity.is_some() {
+        let mut flow_bar: Vec<f64> = (0..s * n).map(|k| bar[k % s][k / s]).collect();
+        if self.equations.diffusivity.is_some() && !self.is_coupled() {
             if bar[3].iter().any(|&x| x != 0.0) {
                 self.equations.heat_matrix(state, operators, &mut self.heat);
                 let lu = SparseLu::new(&self.order, &self.heat, self.threads)?;
@@ -409,13 +426,18 @@ impl Solver {
         }
         self.equations.flow_matrix(state, &d, operators, &mut self.flow);
         let border = self.border(state, &d, operators, held);
-        flow_bar.resize(3 * n + border.columns.len(), 0.0);
+        flow_bar.resize(s * n + border.columns.len(), 0.0);
         if let (Some(_), Some(last)) = (held, flow_bar.last_mut()) {
             *last = drive_bar;
         }
-        let flow = self.solved(&border, &flow_bar, 1e-12, ADJOINT_ITERATIONS, true)?;
+        let mut flow = self.solved(&border, &flow_bar, 1e-12, ADJOINT_ITERATIONS, true)?;
         if flow.iter().any(|x| !x.is_finite()) {
             return Err(NoSteadyState::Adjoint);
+        }
+        if self.is_coupled() {
+            let (own, extra) = flow.split_at(s * n);
+            heat = Some(own.chunks_exact(s).map(|row| row[3]).collect());
+            flow = own.chunks_exact(s).flat_map(|row| &row[..3]).chain(extra).copied().collect();
         }
         Ok((flow, heat))
     }
@@ -435,23 +457,23 @@ impl Solver {
         held: Option<(&Held, &dyn FlowRate)>,
         rate: f64,
     ) -> Result<Option<(f64, f64)>, Singular> {
-        let (n, inside) = (self.equations.particles(), self.equations.inside);
-        let d = self.equations.derivatives(operators, state, false);
+        let (n, inside, s) = (self.equations.particles(), self.equations.inside, self.flow.size);
+        let d = self.equations.derivatives(operators, state, self.is_coupled());
         self.equations.flow_matrix(state, &d, operators, &mut self.flow);
         add_rate(&mut self.flow, inside, rate);
         let border = self.border(state, &d, operators, held);
         let factors = Factors::new(&self.order, &self.flow, &border, self.threads)?;
         let extra = border.columns.len();
         let mut map = |x: &[f64]| {
-            let moves = |k: usize| k % 3 < 2 && k / 3 < inside;
-            let mut right: Vec<f64> = (0..3 * n).map(|k| if moves(k) { x[k] } else { 0.0 }).collect();
-            right.resize(3 * n + extra, 0.0);
+            let moves = |k: usize| k % s != 2 && k / s < inside;
+            let mut right: Vec<f64> = (0..s * n).map(|k| if moves(k) { x[k] } else { 0.0 }).collect();
+            right.resize(s * n + extra, 0.0);
             let mut found = factors.solve(&right, false, false);
-            found.truncate(3 * n);
+            found.truncate(s * n);
             found
         };
         // Every disturbance is in it; the same in each run.
-        let first: Vec<f64> = (0..3 * n).map(|k| (1.0 + k as f64 * 0.754_877_666).fract() - 0.5).collect();
+        let first: Vec<f64> = (0..s * n).map(|k| (1.0 + k as f64 * 0.754_877_666).fract() - 0.5).collect();
         let first = map(&first);
         let found = outermost(&first, DISTURBANCES, &mut map);
         let certain = found.into_iter().filter(|one| one.residual < 1e-2);

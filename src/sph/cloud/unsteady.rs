@@ -18,7 +18,7 @@
 //! The size follows from an estimate of the error of a step, the difference from what the last three states extrapolate to, and
 //! from how far the fluid may go, in spacings: advection is explicit.
 
-use super::equations::{Condition, Equations, Motion, State, Warmth};
+use super::equations::{Bar, Condition, Equations, Motion, State, Warmth};
 use super::fit::Coefficients;
 use super::steady::{Border, Factors, FlowRate, Held, NoSteadyState, Solver};
 use crate::numerics::sparse_lu::SparseLu;
@@ -29,6 +29,8 @@ const COURANT: f64 = 0.5;
 const RATIO: f64 = std::f64::consts::SQRT_2;
 /// The error of a step in the difference from the extrapolation.
 const SHARE: f64 = 0.18;
+/// Steps become no shorter for their error than this part of the limit by advection.
+const SHORTEST: f64 = 0.05;
 /// Matrices whose factors are kept.
 const KEPT: usize = 3;
 
@@ -59,6 +61,10 @@ pub trait InTime {
     fn conditions(&self, time: f64) -> Vec<Condition>;
     /// Whether they change with time.
     fn changes(&self) -> bool;
+    /// What cotangents of given velocities and temperatures at a time are of positions and of the parameters of formulas.
+    fn pull_back(&self, _time: f64, _bar: &Bar, _position: &mut [Vec<f64>; 2], _parameters: &mut [f64]) {}
+    /// What those of the first state's fields, `[4][N]`, are of the boundary and of positions.
+    fn of_start(&self, _fields: &[Vec<f64>; 4], _bar: &mut Bar, _position: &mut [Vec<f64>; 2]) {}
 }
 
 /// How large steps are.
@@ -99,7 +105,7 @@ impl March {
         threads: usize,
     ) -> Self {
         let damping = equations.damping.clone();
-        let mut solver = Solver::new(equations, places, threads);
+        let mut solver = Solver::of_size(equations, places, 3, threads);
         let border = solver.at_rest(operators, held);
         Self { solver, kept: vec![], border, damping, factorisations: 0 }
     }
@@ -116,12 +122,13 @@ impl March {
 
     /// The factors for a0 / dt.
     fn matrices(&mut self, rate: f64, operators: &Coefficients) -> Result<&Matrices, NoSteadyState> {
+        // Also of use for the adjoint, which takes the matrices' derivatives.
+        let damping = self.damping.iter().map(|tau| 1.0 / (1.0 / tau + rate));
+        self.solver.equations.damping = damping.collect();
         if let Some(k) = self.kept.iter().position(|kept| (kept.rate / rate - 1.0).abs() < 1e-12) {
             let found = self.kept.remove(k);
             self.kept.push(found);
         } else {
-            let damping = self.damping.iter().map(|tau| 1.0 / (1.0 / tau + rate));
-            self.solver.equations.damping = damping.collect();
             self.solver.at_rest(operators, None);
             let (flow, heat) = self.solver.factors_at(rate, &self.border)?;
             self.factorisations += 1;
@@ -131,6 +138,36 @@ impl March {
             }
         }
         self.kept.last().ok_or(NoSteadyState::Singular)
+    }
+
+    /// The multipliers of a step's flow, `[3 N + m]`, given the cotangents of the fields of its result and of the drive.
+    pub(super) fn transposed(
+        &mut self,
+        rate: f64,
+        operators: &Coefficients,
+        fields: &[Vec<f64>],
+        drive: f64,
+    ) -> Result<Vec<f64>, NoSteadyState> {
+        let extra = self.border.columns.len();
+        let is_held = extra > usize::from(self.border.pins);
+        let mut right: Vec<f64> =
+            (0..fields[0].len()).flat_map(|i| [fields[0][i], fields[1][i], fields[2][i]]).collect();
+        right.resize(right.len() + extra, 0.0);
+        if let (true, Some(last)) = (is_held, right.last_mut()) {
+            *last = drive;
+        }
+        Ok(self.matrices(rate, operators)?.flow.solve(&right, true, false))
+    }
+
+    /// The same of its heat, `[N]`.
+    pub(super) fn transposed_heat(
+        &mut self,
+        rate: f64,
+        operators: &Coefficients,
+        right: &[f64],
+    ) -> Result<Vec<f64>, NoSteadyState> {
+        let matrices = self.matrices(rate, operators)?;
+        Ok(matrices.heat.as_ref().map_or_else(Vec::new, |heat| heat.solve(right, true)))
     }
 
     /// The state after a step from `now`, `before` it, with the conditions of its end. `flow_rate`: the one that is held.
@@ -224,6 +261,32 @@ impl Flow<'_> {
         COURANT / rates.fold(f64::MIN_POSITIVE, f64::max)
     }
 
+    /// Takes steps of given sizes from `first` on.
+    ///
+    /// # Errors
+    /// Those of [`Self::run`].
+    pub fn repeat<E: From<NoSteadyState>>(
+        &mut self,
+        first: State,
+        sizes: &[f64],
+        watch: &mut dyn FnMut(f64, f64, &State) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut conditions = self.boundary.conditions(0.0);
+        let (mut time, mut before, mut now) = (0.0, Level::default(), self.march.level(self.operators, first));
+        for (k, &dt) in sizes.iter().enumerate() {
+            let step = Step { dt, last: if k > 1 { sizes[k - 1] } else { 0.0 } };
+            time += dt;
+            if self.boundary.changes() {
+                conditions = self.boundary.conditions(time);
+            }
+            let state = self.march.step(step, &now, &before, &conditions, self.flow_rate, self.operators)?;
+            watch(time, dt, &state)?;
+            let next = self.march.level(self.operators, state);
+            before = std::mem::replace(&mut now, next);
+        }
+        Ok(())
+    }
+
     /// Goes on from `first` to the end; `watch` gets the time and state after each step and the size of the step, and may stop it.
     /// Returns the sizes of all steps.
     ///
@@ -284,16 +347,16 @@ impl Flow<'_> {
                 });
                 let courant = self.courant(&state);
                 let is_last = dt == rest;
-                if error.is_some_and(|error| error > 2.0 * tolerance) || dt > 1.6 * courant {
+                // A step also makes the flow fit to continuity, by as much however short it is: just after the start an error may be no
+                // less in shorter steps.
+                let may_shrink = dt > SHORTEST * courant;
+                if may_shrink && (error.is_some_and(|error| error > 2.0 * tolerance) || dt > 1.6 * courant) {
                     number += 1;
-                    if number > 60 {
-                        return Err(NoSteadyState::Diverged { residual: time }.into());
-                    }
                     continue;
                 }
                 let grown = level_of(number - 1);
                 let may = error.is_none_or(|error| error * RATIO.powi(3) < 0.7 * tolerance) && grown < courant;
-                if dt > courant || error.is_some_and(|error| error > tolerance) {
+                if dt > courant || (may_shrink && error.is_some_and(|error| error > tolerance)) {
                     number += 1;
                 } else if may && !is_last && sizes.len() % 4 == 3 {
                     number -= 1;
