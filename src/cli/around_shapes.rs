@@ -294,11 +294,20 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let clock = Instant::now();
     let mut around = AroundShapes::new(config)?;
     let first = around.first();
-    let solution = around.solve(&first)?;
-    let (value, terms) = around.objective(&solution);
-    let solved = clock.elapsed().as_secs_f64();
-    let clock = Instant::now();
-    let gradient = around.gradient(&solution, &terms)?;
+    let solve_clock = |clock: Instant| (clock.elapsed().as_secs_f64(), Instant::now());
+    // Steps of a flow in time are chosen once, for all that it is compared with.
+    let (history, value, gradient, solved, clock) = if config.unsteady().is_some() {
+        let (history, _) = around.march(&first, None, &mut |_, _| Ok(()))?;
+        let (solved, clock) = solve_clock(clock);
+        let gradient = around.march_gradient(&first, &history)?;
+        let value = history.objective(around.window());
+        (Some(history), value, gradient, solved, clock)
+    } else {
+        let solution = around.solve(&first)?;
+        let (value, terms) = around.objective(&solution);
+        let (solved, clock) = solve_clock(clock);
+        (None, value, around.gradient(&solution, &terms)?, solved, clock)
+    };
     let seconds = clock.elapsed().as_secs_f64();
     let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
     let bar = Progress::new(first.len() as u64, "check-gradient");
@@ -307,14 +316,28 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let mut differences = vec![];
     for k in 0..first.len() {
         interrupt::check()?;
-        let step = if numbers[k].part == Part::Angle { DEGREES } else { STEP * surface };
+        let step = match numbers[k].part {
+            Part::Angle => DEGREES,
+            Part::Parameter(_) => 4e-3 * first[k].abs().max(1e-2),
+            _ => STEP * surface,
+        };
+        // Differences of flows in time are not as smooth.
+        let step = if history.is_some() { 0.25 * step } else { step };
         // Richardson's extrapolation of two central differences.
         let mut central = |step: f64| -> Result<f64, Error> {
             let mut at = |x: f64| {
                 let mut moved = first.clone();
                 moved[k] += x;
-                let solution = around.solve(&moved)?;
-                Ok::<f64, Error>(around.objective(&solution).0)
+                Ok::<f64, Error>(match &history {
+                    Some(history) => {
+                        let (moved, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(()))?;
+                        moved.objective(around.window())
+                    }
+                    None => {
+                        let solution = around.solve(&moved)?;
+                        around.objective(&solution).0
+                    }
+                })
             };
             Ok((at(step)? - at(-step)?) / (2.0 * step))
         };

@@ -128,6 +128,9 @@ pub struct ShapeEntry {
     pub thickness: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub positive: Option<Formula>,
+    /// p0, p1, ... in the formulas of velocity, temperature and heat flux.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub parameters: Vec<f64>,
     /// Velocity of a wall's surface; none: at rest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub velocity: Option<Vec<Formula>>,
@@ -170,6 +173,8 @@ pub enum Part {
     Thickness,
     Chord,
     Angle,
+    /// Of the formulas on its wall.
+    Parameter(usize),
 }
 
 impl ShapeNumber {
@@ -183,7 +188,8 @@ impl ShapeNumber {
         let parts = parts.chain(vector(&entry.axes).map(Part::Axis)).chain(vector(&entry.radii).map(Part::Radii));
         let parts = parts.chain(points.flat_map(|point| [Part::Point(point, 0), Part::Point(point, 1)]));
         let parts = parts.chain(entry.thickness.map(|_| Part::Thickness)).chain(entry.chord.map(|_| Part::Chord));
-        parts.chain(entry.angle.map(|_| Part::Angle)).map(|part| Self { shape, part }).collect()
+        let parts = parts.chain(entry.angle.map(|_| Part::Angle));
+        parts.chain((0..entry.parameters.len()).map(Part::Parameter)).map(|part| Self { shape, part }).collect()
     }
 
     pub fn of<'a>(&self, shapes: &'a mut [ShapeEntry]) -> Option<&'a mut f64> {
@@ -199,6 +205,7 @@ impl ShapeNumber {
             Part::Angle => entry.angle.as_mut(),
             Part::Point(point, d) => entry.points.as_mut()?.get_mut(point)?.get_mut(d),
             Part::Thickness => entry.thickness.as_mut(),
+            Part::Parameter(k) => entry.parameters.get_mut(k),
         }
     }
 }
@@ -217,6 +224,7 @@ impl std::fmt::Display for ShapeNumber {
             Part::Angle => write!(out, "angle"),
             Part::Point(point, d) => write!(out, "points[{point}][{d}]"),
             Part::Thickness => write!(out, "thickness"),
+            Part::Parameter(k) => write!(out, "parameters[{k}]"),
         }
     }
 }
@@ -312,6 +320,15 @@ impl ShapeEntry {
         }
     }
 
+    fn check_parameters(&self, key: &str, function: &Function) -> Result<(), BadInput> {
+        let (needed, given) = (function.parameters(), self.parameters.len());
+        if needed > given {
+            let problem = format!("{key} has p{}, and the shape {given} parameters", needed - 1);
+            return Err(BadInput::at(key, problem).allowed("p0, p1, ... with parameters = [..] in the same shape"));
+        }
+        Ok(())
+    }
+
     /// Checks shape number `place`; returns the first error.
     pub fn check(&self, place: usize, dimension: usize, has_heat: bool, read: ReadFormula) -> Result<(), BadInput> {
         let key = |name: &str| format!("shapes[{place}].{name}");
@@ -393,7 +410,9 @@ impl ShapeEntry {
             if !is_wall {
                 return Err(bad("velocity", "of fluid".into()).allowed("initial.velocity for the fluid's"));
             }
-            functions(&key("velocity"), velocity, dimension, read)?;
+            for function in functions(&key("velocity"), velocity, dimension, read)? {
+                self.check_parameters(&key("velocity"), &function)?;
+            }
         }
         for (name, formula) in [("temperature", &self.temperature), ("heat_flux", &self.heat_flux)] {
             let Some(formula) = formula else { continue };
@@ -405,7 +424,10 @@ impl ShapeEntry {
                     .allowed("with initial.temperature, which gives the scene its heat")
                     .advice("initial.temperature=1.0"));
             }
-            read(formula, &key(name), dimension)?;
+            self.check_parameters(&key(name), &read(formula, &key(name), dimension)?)?;
+        }
+        if let Some(wrong) = self.parameters.iter().find(|x| !x.is_finite()) {
+            return Err(bad("parameters", format!("{wrong}")).allowed("finite numbers"));
         }
         if self.temperature.is_some() && self.heat_flux.is_some() {
             return Err(bad("heat_flux", "beside a temperature".into()).allowed("one of both"));

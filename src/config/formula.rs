@@ -21,12 +21,16 @@ literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0
 /// How a formula is read, given its key in messages and the number of dimensions.
 pub type ReadFormula = fn(&Formula, &str, usize) -> Result<Function, BadInput>;
 
+/// The names of a shape's parameters, behind those of place and time.
+const PARAMETERS: [(usize, &str); 8] =
+    [(4, "p0"), (5, "p1"), (6, "p2"), (7, "p3"), (8, "p4"), (9, "p5"), (10, "p6"), (11, "p7")];
+
 type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
 #[derive(Debug, Clone)]
 pub struct Function {
     expression: Expression,
-    /// 0, 1, 2, 3 for x, y, z, t, in the order of the expression's variables.
+    /// 0, 1, 2, 3 for x, y, z, t, then parameters, in the order of the expression's variables.
     variables: Vec<usize>,
 }
 
@@ -46,13 +50,26 @@ impl Formula {
         self.read(key, place.chain([(3, "t")]).collect(), &format!("a place in {dimension} dimensions and a time"))
     }
 
+    /// Reads an expression of the place and of the parameters of a shape.
+    pub fn function_of_parameters(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
+        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
+        self.read(key, place.chain(PARAMETERS).collect(), &format!("a place in {dimension} dimensions"))
+    }
+
+    /// Reads an expression of the place, of the time and of the parameters of a shape.
+    pub fn function_of_all(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
+        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
+        let names = place.chain([(3, "t")]).chain(PARAMETERS).collect();
+        self.read(key, names, &format!("a place in {dimension} dimensions and a time"))
+    }
+
     fn read(&self, key: &str, names: Vec<(usize, &str)>, what: &str) -> Result<Function, BadInput> {
         let bad = |problem: String| BadInput::at(key, format!("{key} = \"{}\": {problem}", self.0)).allowed(ALLOWED);
         let expression = Expression::parse(&self.0).map_err(|error| bad(error.to_string()))?;
         let number = |name: &String| names.iter().find(|(_, known)| known == name).map(|(k, _)| *k).ok_or(name.clone());
         let variables = expression.var_names().iter().map(number).collect::<Result<Vec<_>, _>>();
         let variables = variables.map_err(|name| {
-            let known: Vec<&str> = names.iter().map(|(_, name)| *name).collect();
+            let known: Vec<&str> = names.iter().filter(|(k, _)| *k < 4).map(|(_, name)| *name).collect();
             bad(format!("`{name}` is unknown; {what} has {}", known.join(", ")))
         })?;
         Ok(Function { expression, variables })
@@ -76,8 +93,22 @@ impl Function {
     }
 
     /// Its value at a place and a time; not a number where it has none.
-    pub fn at_time(&self, [x, y, z]: [f64; 3], t: f64) -> f64 {
-        let values: Vec<f64> = self.variables.iter().map(|&k| [x, y, z, t][k]).collect();
+    pub fn at_time(&self, place: [f64; 3], t: f64) -> f64 {
+        self.with_parameters(place, t, &[])
+    }
+
+    /// How many parameters it needs.
+    pub fn parameters(&self) -> usize {
+        self.variables.iter().map(|k| k.saturating_sub(3)).max().unwrap_or(0)
+    }
+
+    /// Its value at a place and a time with parameters; not a number where it has none.
+    pub fn with_parameters(&self, [x, y, z]: [f64; 3], t: f64, parameters: &[f64]) -> f64 {
+        let value = |k: usize| match k {
+            0..4 => [x, y, z, t][k],
+            _ => parameters.get(k - 4).copied().unwrap_or(f64::NAN),
+        };
+        let values: Vec<f64> = self.variables.iter().map(|&k| value(k)).collect();
         self.expression.eval(&values).unwrap_or(f64::NAN)
     }
 }

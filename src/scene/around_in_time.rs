@@ -105,6 +105,8 @@ struct Boundary<'a> {
     shaped: &'a Shaped,
     /// The formulas of fields at the start that depend on the place.
     start: Vec<(usize, Function)>,
+    /// Parameters of formulas by which derivatives are wanted: shape and number.
+    parameters: Vec<(usize, usize)>,
 }
 
 impl InTime for Boundary<'_> {
@@ -116,7 +118,10 @@ impl InTime for Boundary<'_> {
         self.cloud.surroundings.has_time()
     }
 
-    fn pull_back(&self, time: f64, bar: &Bar, position: &mut [Vec<f64>; 2], _parameters: &mut [f64]) {
+    fn pull_back(&self, time: f64, bar: &Bar, position: &mut [Vec<f64>; 2], parameters: &mut [f64]) {
+        for (to, &wanted) in parameters.iter_mut().zip(&self.parameters) {
+            *to += self.cloud.by_parameter(self.shaped, bar, wanted, time);
+        }
         let inside = self.cloud.places.inside;
         for (k, by_place) in self.cloud.conditions_back(self.shaped, bar, Some(time)).iter().enumerate() {
             (0..2).for_each(|d| position[d][inside + k] += by_place[d]);
@@ -228,12 +233,12 @@ impl AroundShapes {
         watch: &mut dyn FnMut(&Moment, &Solution) -> Result<(), Error>,
     ) -> Result<(History, Solution), Error> {
         let config = self.config();
-        let tolerance = config.unsteady().map_or(1e-4, |fixed| fixed.tolerance);
+        let tolerance = config.unsteady().map_or(1e-3, |fixed| fixed.tolerance);
         let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
         let cloud = &self.flow.cloud;
         let mut history = History { figures: self.named_figures(), ..History::default() };
         let (has_objective, read_at) = (self.has_objective(), self.flow.measures.read_at());
-        let boundary = Boundary { cloud, shaped: &shaped, start };
+        let boundary = Boundary { cloud, shaped: &shaped, start, parameters: vec![] };
         let equations = march.equations().clone();
         let (mut last, mut moments) = (None, vec![]);
         let mut seen = |time: f64, _: f64, state: &State| -> Result<(), Failure> {
@@ -293,7 +298,10 @@ impl AroundShapes {
     pub fn march_gradient(&self, variables: &[f64], history: &History) -> Result<Vec<f64>, Error> {
         let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
         let cloud = &self.flow.cloud;
-        let boundary = Boundary { cloud, shaped: &shaped, start };
+        let is_parameter = |&&(shape, number): &&(usize, usize)| number >= cloud.ground.outlines[shape].geometry;
+        let parameters: Vec<(usize, usize)> = self.wanted.iter().filter(is_parameter).copied().collect();
+        let count = parameters.len();
+        let boundary = Boundary { cloud, shaped: &shaped, start, parameters };
         let weights = history.weights(self.window());
         let (equations, read_at) = (march.equations().clone(), self.flow.measures.read_at());
         let mut figures = |k: usize, state: &State, bar: &mut Bar| {
@@ -306,6 +314,11 @@ impl AroundShapes {
                 self.flow.measures.pull_back(figure, &at, weights[k] * weight, bar);
             }
         };
+        let flow_rate_back = |state: &State, weight: f64, bar: &mut Bar| {
+            let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
+            let at = At { equations: &equations, shaped: &shaped, state, d: &derivatives };
+            self.flow.measures.pull_back(Figure::FlowRate, &at, weight, bar);
+        };
         let taken = Taken {
             operators: &shaped.operators,
             position: &shaped.position,
@@ -313,12 +326,15 @@ impl AroundShapes {
             flow_rate,
             first: &first,
             sizes: &history.sizes,
-            read_at: &read_at,
+            flow_rate_back: &flow_rate_back,
         };
         let found = taken
-            .pull_back(&mut march, &mut figures, 0)
+            .pull_back(&mut march, &mut figures, count)
             .map_err(|why| no_solution(self.config(), &NoSolution::Flow(why)))?;
-        Ok(cloud.by_numbers(&shaped, &found.position, &found.bar, &self.wanted, None))
+        let mut all = cloud.by_numbers(&shaped, &found.position, &found.bar, &self.wanted, None);
+        let places = (0..self.wanted.len()).filter(|&k| is_parameter(&&self.wanted[k]));
+        places.zip(found.parameters).for_each(|(k, by)| all[k] = by);
+        Ok(all)
     }
 }
 

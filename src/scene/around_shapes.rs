@@ -46,14 +46,16 @@ struct Conditions {
     shapes: Vec<OnWall>,
     sides: [Option<(SideKind, OnWall)>; 4],
     polygons: Vec<Polygon>,
+    /// How many numbers of each shape are its outline's.
+    geometry: Vec<usize>,
     reference: f64,
     /// Density times heat capacity.
     capacity: f64,
 }
 
 impl Conditions {
-    fn on(&self, wall: &OnWall, place: [f64; 2], time: f64) -> (Motion, Warmth) {
-        let at = |function: &Function| function.at_time([place[0], place[1], 0.0], time);
+    fn on(&self, wall: &OnWall, place: [f64; 2], time: f64, parameters: &[f64]) -> (Motion, Warmth) {
+        let at = |function: &Function| function.with_parameters([place[0], place[1], 0.0], time, parameters);
         let mut velocity = [0.0; 2];
         wall.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
         let warmth = match (&wall.temperature, &wall.heat_flux) {
@@ -65,21 +67,22 @@ impl Conditions {
 }
 
 impl Surroundings for Conditions {
-    fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64) -> (Motion, Warmth) {
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth) {
+        let parameters = |shape: usize| &numbers[shape][self.geometry[shape]..];
         let adiabatic = Warmth::Flux(0.0);
         if let Some((shape, _)) = point.on {
-            return self.on(&self.shapes[shape], place, time);
+            return self.on(&self.shapes[shape], place, time, parameters(shape));
         }
         if let Some((kind, wall)) = point.side.and_then(|side| self.sides[side].as_ref()) {
             let along = point.side.unwrap_or_default() / 2;
             return match kind {
                 SideKind::Outflow => (Motion::Outflow(along), adiabatic),
                 SideKind::Symmetry => (Motion::Symmetry(along), adiabatic),
-                _ => self.on(wall, place, time),
+                _ => self.on(wall, place, time, &[]),
             };
         }
         match self.shape_behind(point, place) {
-            Some(shape) => self.on(&self.shapes[shape], place, time),
+            Some(shape) => self.on(&self.shapes[shape], place, time, parameters(shape)),
             None => (Motion::Given([0.0; 2]), adiabatic),
         }
     }
@@ -141,6 +144,7 @@ impl AroundShapes {
             shapes: shapes.collect::<Result<_, BadInput>>()?,
             sides: [left?, right?, bottom?, top?],
             polygons: outlines.iter().map(polygon).collect(),
+            geometry: outlines.iter().map(|outline| outline.geometry).collect(),
             reference: fluid.inlet_temperature,
             capacity: fluid.density * fluid.heat_capacity,
         };
@@ -176,7 +180,8 @@ impl AroundShapes {
         let wanted =
             numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();
         for (k, &(shape, _)) in wanted.iter().enumerate() {
-            if !cloud.places.bodies.contains(&shape) {
+            let is_outline = wanted[k].1 < cloud.ground.outlines[shape].geometry;
+            if is_outline && !cloud.places.bodies.contains(&shape) {
                 let key = format!("variables[{k}].number");
                 let problem = format!(
                     "{key} = \"{}\": the shape touches another wall, or reaches out of the box",

@@ -113,6 +113,7 @@ impl<'a> Search<'a> {
         let of = |(k, &(shape, number)): (usize, &(usize, usize))| {
             let most = match cloud.ground.outlines[shape].parts[number] {
                 Part::Angle => TRUST * 180.0 / PI,
+                Part::Parameter(_) => self.width[k],
                 _ => TRUST * size(shape),
             };
             most / self.width[k]

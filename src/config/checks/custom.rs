@@ -85,10 +85,10 @@ impl Config {
 
     /// How formulas on walls are read: in a flow that goes on in time they may have it.
     pub fn wall_formula(&self) -> ReadFormula {
-        if self.unsteady().is_some() {
-            Formula::function_of_time
-        } else {
-            Formula::function
+        match self.unsteady() {
+            _ if !self.is_around_shapes() => Formula::function,
+            Some(_) => Formula::function_of_all,
+            None => Formula::function_of_parameters,
         }
     }
 
@@ -142,6 +142,9 @@ impl Config {
         }
         if self.fluid.expansion != 0.0 {
             return bad("fluid.expansion", String::new());
+        }
+        if let Some(k) = self.shapes.iter().position(|shape| !shape.parameters.is_empty()) {
+            return bad(&format!("shapes[{k}].parameters"), String::new());
         }
         match self.shapes.iter().position(|shape| shape.heat_flux.is_some()) {
             Some(k) => bad(&format!("shapes[{k}].heat_flux"), String::new()),
@@ -223,6 +226,11 @@ impl Config {
             return Err(bad("fluid.expansion", "in a scene without heat".into())
                 .allowed("with initial.temperature, which gives the scene its heat")
                 .advice("initial.temperature=1.0"));
+        }
+        if self.unsteady().is_some() && self.fluid.drive == DriveName::PumpingPower {
+            return Err(bad("fluid.drive", "= pumping-power with method.flow = unsteady".into())
+                .allowed("body-force, flow-rate; pumping-power with method.flow = steady")
+                .advice("fluid.drive=body-force, or method.flow=steady"));
         }
         self.check_objective_of_shapes(has_heat)
     }

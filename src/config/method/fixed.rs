@@ -23,7 +23,7 @@ section! {
     "method.": Fixed {
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);
         flow: FlowKind = FlowKind::Steady;
-        tolerance: f64 = 1e-4, Within(1e-9, 1.0);
+        tolerance: f64 = 1e-3, Within(1e-9, 1.0);
     }
 }
 

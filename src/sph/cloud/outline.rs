@@ -112,6 +112,8 @@ pub struct Outline {
     /// The numbers of the shape, in the order of [`Part`]s.
     pub parts: Vec<Part>,
     pub numbers: Vec<f64>,
+    /// How many of them the outline depends on; the others are parameters of formulas on the wall.
+    pub geometry: usize,
     /// Whether the curve runs clockwise, as the corners of a polygon may.
     clockwise: bool,
 }
@@ -306,7 +308,10 @@ impl Outline {
             }
             Kind::Cylinder | Kind::Where | Kind::File => return None,
         };
-        let mut outline = Self { curve, parts, numbers, clockwise: false };
+        let geometry = numbers.len();
+        parts.extend((0..entry.parameters.len()).map(Part::Parameter));
+        numbers.extend(&entry.parameters);
+        let mut outline = Self { curve, parts, numbers, geometry, clockwise: false };
         if let Curve::Path { corners, cut } = &mut outline.curve {
             let points = corners.of(&outline.numbers);
             let n = points.len();
@@ -330,8 +335,8 @@ impl Outline {
     pub fn samples(&self, each: usize) -> Vec<f64> {
         let pieces = match &self.curve {
             Curve::Disc | Curve::Ellipse => 16,
-            Curve::Radial { .. } => self.numbers.len() - 2,
-            Curve::BSpline => self.numbers.len() / 2,
+            Curve::Radial { .. } => self.geometry - 2,
+            Curve::BSpline => self.geometry / 2,
             Curve::Path { cut, .. } => 2 * cut.len(),
         };
         let count = pieces * each;
@@ -340,6 +345,7 @@ impl Outline {
 
     /// Points at parameters, for numbers of the shape.
     pub fn points<S: Scalar>(&self, parameters: &[f64], s: &[S]) -> Vec<OnOutline<S>> {
+        let s = &s[..self.geometry];
         let way = if self.clockwise { -1.0 } else { 1.0 };
         let corners = match &self.curve {
             Curve::Path { corners, .. } => corners.of(s),

@@ -15,7 +15,8 @@ pub const NEIGHBOURS: usize = 16;
 
 /// Velocity and temperature that points of the boundary have, by place. The flow's material constants.
 pub trait Surroundings: Debug + Send + Sync {
-    fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64) -> (Motion, Warmth);
+    /// `numbers`: those of all shapes.
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth);
     /// The shape that a point on a side of the box belongs to, if one is behind it.
     fn shape_behind(&self, point: &BoundaryPoint, place: [f64; 2]) -> Option<usize>;
     /// Whether conditions depend on the place of a point that moves with a shape.
@@ -281,17 +282,23 @@ impl Cloud {
             self.places.place.iter().zip(moved).map(|(p, moved)| p[d] + moved).collect()
         });
         self.check_folds(&position)?;
-        let conditions = self.conditions(&position, &normal, 0.0);
+        let conditions = self.conditions(&position, &normal, 0.0, numbers);
         let operators = self.stencils.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
     }
 
     /// What holds on the boundary at a time, for positions and unit normals of its points.
-    fn conditions(&self, position: &[Vec<f64>; 2], normal: &[[f64; 2]], time: f64) -> Vec<Condition> {
+    fn conditions(
+        &self,
+        position: &[Vec<f64>; 2],
+        normal: &[[f64; 2]],
+        time: f64,
+        numbers: &[Vec<f64>],
+    ) -> Vec<Condition> {
         let inside = self.places.inside;
         let of = |(k, normal): (usize, &[f64; 2])| {
             let place = [position[0][inside + k], position[1][inside + k]];
-            let (motion, warmth) = self.surroundings.condition(&self.places.boundary[k], place, time);
+            let (motion, warmth) = self.surroundings.condition(&self.places.boundary[k], place, time, numbers);
             Condition { motion, warmth, normal: *normal }
         };
         normal.iter().enumerate().map(of).collect()
@@ -300,7 +307,7 @@ impl Cloud {
     /// What holds on the boundary of a shape at a time.
     pub fn conditions_at(&self, shaped: &Shaped, time: f64) -> Vec<Condition> {
         let normal: Vec<[f64; 2]> = shaped.conditions.iter().map(|condition| condition.normal).collect();
-        self.conditions(&shaped.position, &normal, time)
+        self.conditions(&shaped.position, &normal, time, &shaped.numbers)
     }
 
     /// Nearest neighbours must stay apart and on their side: 0.4 of their reference distance along it.
@@ -335,12 +342,31 @@ impl Cloud {
                 let at = |sign: f64| {
                     let mut p = place;
                     p[d] += sign * step;
-                    self.surroundings.condition(point, p, time)
+                    self.surroundings.condition(point, p, time, &shaped.numbers)
                 };
                 difference(&bar.boundary[k], at(1.0), at(-1.0)) / (2.0 * step)
             })
         };
         (0..self.places.boundary.len()).map(of).collect()
+    }
+
+    /// The derivative by a parameter of the formulas on a shape, given the cotangents of velocities and temperatures at a time.
+    pub fn by_parameter(&self, shaped: &Shaped, bar: &Bar, (shape, number): (usize, usize), time: f64) -> f64 {
+        let inside = self.places.inside;
+        let value = shaped.numbers[shape][number];
+        let step = 1e-5 * value.abs().max(1e-3);
+        let with = |sign: f64| {
+            let mut numbers = shaped.numbers.clone();
+            numbers[shape][number] = value + sign * step;
+            numbers
+        };
+        let (up, down) = (with(1.0), with(-1.0));
+        let of = |(k, point): (usize, &BoundaryPoint)| {
+            let place = [shaped.position[0][inside + k], shaped.position[1][inside + k]];
+            let at = |numbers: &[Vec<f64>]| self.surroundings.condition(point, place, time, numbers);
+            difference(&bar.boundary[k], at(&up), at(&down)) / (2.0 * step)
+        };
+        self.places.boundary.iter().enumerate().map(of).sum()
     }
 
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that
@@ -357,6 +383,9 @@ impl Cloud {
         let on_shapes = self.on_shapes();
         let by_condition = self.conditions_back(shaped, bar, time);
         let of = |&(shape, number): &(usize, usize)| {
+            if number >= self.ground.outlines[shape].geometry {
+                return time.map_or(0.0, |time| self.by_parameter(shaped, bar, (shape, number), time));
+            }
             let (points, parameters) = &on_shapes[shape];
             let slopes = self.ground.outlines[shape].slopes(parameters, &shaped.numbers[shape], number);
             let own = bar.numbers.iter().filter(|(s, n, _)| (*s, *n) == (shape, number));

@@ -23,8 +23,8 @@ pub struct Taken<'a> {
     pub flow_rate: Option<f64>,
     pub first: &'a State,
     pub sizes: &'a [f64],
-    /// Particles off the boundary at which figures read derivatives.
-    pub read_at: &'a [usize],
+    /// Adds the cotangents of the flow rate times a number to a bar, for one that is held.
+    pub flow_rate_back: &'a dyn Fn(&State, f64, &mut Bar),
 }
 
 /// Cotangents of all that a flow depends on.
@@ -158,6 +158,10 @@ impl Taken<'_> {
                 let d = march.equations().derivatives_at(self.operators, state, &[]);
                 let heat = has_heat.then_some(against_heat.as_slice());
                 march.equations().pull_back_linear(&d, &against, heat, &mut bar);
+                if let (Some(_), Some(multiplier)) = (self.flow_rate, y.last()) {
+                    // The held flow rate depends on positions too.
+                    (self.flow_rate_back)(state, -multiplier, &mut bar);
+                }
                 self.gather(march, times[k], state, bar, &mut found);
                 now = std::mem::replace(&mut before, earlier);
             }
