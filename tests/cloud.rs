@@ -735,6 +735,13 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
         &probe("method.flow = \"unsteady\"\nfluid.drive = \"pumping-power\"\nfluid.pumping_power = 1.0"),
         &["fluid.drive", "flow=steady"],
     );
+    let in_time = channel(0.05, "method.flow = \"unsteady\"\nobjective.kind = \"drag\"\n")
+        + &shape("disc", &[0.5, 0.2, 0.08])
+        + "[[variables]]\nnumber = \"shapes[2].radius\"\nlower = 0.07\nupper = 0.09\n";
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("scene.toml"), in_time).unwrap();
+    let arguments = ["optimize", "scene.toml", "--out", "run"];
+    refused(&arguments, &hydrograd(folder.path(), &arguments), &["method.flow", "check-gradient"]);
     let turning = base.clone() + "[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.2]\nradius = 0.1\n";
     refuses(&(turning.clone() + "velocity = [\"t*y\", 0]\n"), &["shapes[2].velocity[0]", "`t` is unknown"]);
     refuses(&(turning + "velocity = [\"p1*y\", 0]\nparameters = [1.0]\n"), &["shapes[2].velocity", "p1", "parameters"]);

@@ -22,8 +22,8 @@ use std::time::Instant;
 /// Ticks of the progress bar.
 const TICKS: f64 = 1000.0;
 
-fn course_json(course: &Course) -> Value {
-    json!({ "mean": course.mean, "least": course.least, "most": course.most, "frequency": course.frequency })
+fn course_json(figure: &str, course: &Course) -> Value {
+    json!({ "figure": figure, "mean": course.mean, "least": course.least, "most": course.most, "frequency": course.frequency })
 }
 
 /// `hydrograd simulate`: the flow to `time.end`, its figures over time, and frames for ParaView.
@@ -127,10 +127,10 @@ fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, 
     record.put("factorisations", history.factorisations);
     record.put("window_begins", from);
     let mut shapes = vec![json!({}); loaded.config.shapes.len()];
-    let mut all = serde_json::Map::new();
+    let mut all = vec![];
     for (k, (name, figure)) in history.figures.iter().enumerate() {
         let course = history.of(from, k);
-        all.insert(name.clone(), course_json(&course));
+        all.push(course_json(name, &course));
         use crate::sph::cloud::figures::Figure;
         match *figure {
             Figure::Force { shape, along } => {
@@ -145,13 +145,13 @@ fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, 
         }
     }
     record.put("shapes", shapes);
-    record.put("courses", all);
     if around.has_objective() {
         let objective = history.course(from, &|moment| moment.objective);
         record.put("objective_kind", loaded.config.objective.kind);
         record.put("objective", history.objective(from));
-        record.put("objective_course", course_json(&objective));
+        all.push(course_json("objective", &objective));
         record.put("objective_at_end", history.moments.last().map(|moment| moment.objective));
     }
+    record.put("courses", all);
     record
 }

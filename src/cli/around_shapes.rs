@@ -193,6 +193,17 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let clock = Instant::now();
     let mut around = AroundShapes::new(config)?;
     let placed = clock.elapsed().as_secs_f64();
+    if config.unsteady().is_some() {
+        let places = &around.flow.cloud.places;
+        println!("{}: scene {}, 2 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
+        println!("particles           {} in all: {} fluid", places.place.len(), places.inside);
+        println!(
+            "method              fixed: a flow in time to t = {}, whose steps are chosen on the way",
+            config.time.end
+        );
+        println!("placing             {placed:.2} s; a step is not tried here");
+        return Ok(());
+    }
     let solution = around.solve(&around.first())?;
     let seconds = clock.elapsed().as_secs_f64();
     let _own = RunFolder::take(folder, "scenes check", Earlier::Replaced)?;

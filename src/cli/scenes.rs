@@ -7,7 +7,7 @@ use super::machine;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
-use crate::config::builtin::{self, BuiltIn, PRESETS, SCENES};
+use crate::config::builtin::{self, BuiltIn, EXAMPLES, PRESETS, SCENES};
 use crate::config::scene::{Config, Precision};
 use crate::report::memory::peak_memory_bytes;
 use crate::report::table::Table;
@@ -77,7 +77,9 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             list()
         }
         Some(name) => {
-            builtin::scene(name).ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?;
+            builtin::scene(name)
+                .or(builtin::example(name))
+                .ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?;
             check_preset(arguments.preset.as_deref())?;
             let loaded = Config::load(Some(name), arguments.preset.as_deref(), &[])?;
             machine::answer(&serde_json::to_value(&loaded.config as &dyn erased_serde::Serialize)?);
@@ -207,9 +209,10 @@ fn list() -> String {
         items.iter().map(line).collect()
     };
     format!(
-        "Scenes:\n{}\nPresets (--preset NAME):\n{}\n\
+        "Scenes:\n{}\nScenes of the family custom whose answers are known:\n{}\nPresets (--preset NAME):\n{}\n\
          `hydrograd scenes NAME` prints a scene as TOML, to save and change.\n",
         lines(SCENES),
+        lines(EXAMPLES),
         lines(PRESETS)
     )
 }

@@ -198,7 +198,10 @@ impl AroundShapes {
         if has_heat {
             all.push(("heat_outflow".into(), Figure::HeatOutflow));
         }
-        all.push(("pressure_drop".into(), Figure::PressureDrop));
+        // Which sides the fluid enters by is known of inflows that do not change.
+        if !self.flow.cloud.surroundings.has_time() {
+            all.push(("pressure_drop".into(), Figure::PressureDrop));
+        }
         all
     }
 

@@ -213,6 +213,21 @@ impl AroundShapes {
         &self.config
     }
 
+    /// Searches and their checks are of steady flows.
+    ///
+    /// # Errors
+    /// A flow in time.
+    pub fn check_steady(&self) -> Result<(), BadInput> {
+        match self.config.unsteady() {
+            None => Ok(()),
+            Some(_) => {
+                Err(BadInput::at("method.flow", "method.flow = unsteady, and this needs a steady flow".to_string())
+                    .allowed("steady; of a flow in time simulate, and check-gradient for its derivative")
+                    .advice("method.flow=steady"))
+            }
+        }
+    }
+
     /// Advice for a spacing that is too coarse.
     pub fn finer_advice(&self) -> String {
         finer(&self.config)
@@ -235,6 +250,7 @@ impl AroundShapes {
     /// # Errors
     /// A cloud that folds, and a flow that does not become steady.
     pub fn solve(&mut self, variables: &[f64]) -> Result<Solution, Error> {
+        self.check_steady()?;
         let numbers = self.numbers(variables);
         self.flow.solve(&numbers).map_err(|why| no_solution(&self.config, &why))
     }

@@ -102,6 +102,7 @@ impl<'a> Search<'a> {
     /// Shapes that cannot be resolved.
     pub fn new(config: &'a Config) -> Result<Self, Error> {
         let around = AroundShapes::new(config)?;
+        around.check_steady()?;
         let width = config.variables.iter().map(|variable| variable.upper - variable.lower).collect();
         Ok(Self { config, around, limits: limits(config), unit: 0.0, numbers: Numbers::of_config(config), width })
     }

@@ -1,6 +1,6 @@
 //! Published flows around bodies, with fixed particles.
 
-use super::measure::{Curve, Found, Progress};
+use super::found::{Curve, Found, Progress};
 use crate::config::scene::Config;
 use crate::scene::around_in_time::{History, Moment};
 use crate::scene::around_shapes::AroundShapes;

@@ -1,6 +1,7 @@
 //! What is compared with what is known.
 
 use super::benchmark::Benchmark;
+use super::found::{Curve, Found, Progress};
 use super::{probe, reference};
 use crate::adjoint::run::run;
 use crate::config::layers::Setting;
@@ -12,43 +13,11 @@ use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::Sweeps;
 use anyhow::{anyhow, bail};
-use serde::{Deserialize, Serialize};
 
 /// Samples of a steady flow, over the last quarter of its run.
 const SAMPLES: usize = 50;
 /// Places on a centre line.
 const PLACES: usize = 127;
-
-/// Sees the share of a run that is done.
-pub type Progress<'a> = &'a mut dyn FnMut(f64);
-
-/// A named line of a picture.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Curve {
-    pub name: String,
-    pub points: Vec<(f64, f64)>,
-}
-
-/// What came of a run.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Found {
-    pub error: f64,
-    /// What was measured and, last, what it is compared with; may be none.
-    pub curves: Vec<Curve>,
-}
-
-impl Curve {
-    fn new(name: &str, points: Vec<(f64, f64)>) -> Self {
-        Self { name: name.into(), points }
-    }
-}
-
-impl Found {
-    /// What was measured beside what it is compared with.
-    fn beside(error: f64, ours: Vec<(f64, f64)>, reference: &str, theirs: Vec<(f64, f64)>) -> Self {
-        Self { error, curves: vec![Curve::new("hydrograd", ours), Curve::new(reference, theirs)] }
-    }
-}
 
 /// The quantity of a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,13 +5,15 @@
 
 pub mod benchmark;
 pub mod cases;
+pub mod found;
 pub mod measure;
 pub mod probe;
 pub mod reference;
 pub mod stress;
 
 pub use cases::Case;
-pub use measure::{Curve, Found, Measure, Progress};
+pub use found::{Curve, Found, Progress};
+pub use measure::Measure;
 
 use crate::config::scene::Config;
 use crate::numerics::interrupt;

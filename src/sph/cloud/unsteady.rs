@@ -330,7 +330,7 @@ impl Flow<'_> {
             }
             let state = self.march.step(step, &now, &before, &conditions, self.flow_rate, self.operators)?;
             let fastest = (0..inside).map(|i| state.fields[0][i].hypot(state.fields[1][i])).fold(0.0, f64::max);
-            if !(fastest < 1e3 * velocity) || state.fields.iter().flatten().any(|x| !x.is_finite()) {
+            if fastest > 1e3 * velocity || state.fields.iter().flatten().any(|x| !x.is_finite()) {
                 return Err(NoSteadyState::Diverged { residual: time }.into());
             }
             if fixed.is_none() {
