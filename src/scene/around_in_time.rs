@@ -14,7 +14,7 @@ use crate::sph::cloud::unsteady::{Control, Flow, InTime, March};
 use crate::sph::cloud::unsteady_adjoint::Taken;
 use std::sync::Arc;
 
-/// The figures of one time, by [`History::names`].
+/// The figures of one time, in the order of [`History::figures`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
     pub time: f64,
