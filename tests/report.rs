@@ -143,6 +143,7 @@ fn particles_by_temperature() -> TestResult {
         temperature,
         tag,
         diameter: 0.02,
+        diameters: None,
     };
     let panels = [
         panel("Before: flat wall, Q = 0.0319", Box::leak(Box::new(before))),
@@ -168,6 +169,7 @@ fn particles_by_temperature() -> TestResult {
         temperature: &temperature,
         tag: &tag,
         diameter: 0.05,
+        diameters: None,
     };
     let path = folder.path.join("temperature_square");
     let paths = colored_particles(&path, label, &[square], (1.0, 1.2), (0.0, 0.5), (-0.15, 0.35))?;

@@ -227,6 +227,7 @@ fn plot(out: &Path, metadata: &Metadata, trajectory: &Trajectory, count: usize) 
             temperature,
             tag: &tags,
             diameter: metadata.dx,
+            diameters: None,
         })
         .collect();
     let (label, what) = match trajectory.temperature {

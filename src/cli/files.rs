@@ -141,15 +141,24 @@ fn draw(
             (low, low + low.abs().max(1.0))
         }
     });
-    let drawn = panels.iter().zip(&sections).map(|((title, _), (position, temperature, tag))| TemperaturePanel {
-        title,
-        position,
-        temperature,
-        tag,
-        diameter: dx,
+    let sizes: Vec<Option<Vec<f64>>> = panels.iter().map(|(_, fields)| sizes(fields)).collect();
+    let drawn = panels.iter().zip(&sections).zip(&sizes).map(|(((title, _), (position, temperature, tag)), sizes)| {
+        let diameters = sizes.as_deref();
+        TemperaturePanel { title, position, temperature, tag, diameter: dx, diameters }
     });
     colored_particles(stem, label, &drawn.collect::<Vec<_>>(), colors, x, y)?;
     Ok(())
+}
+
+/// The size of each particle in two dimensions, by its mass, if some are twice as large as others.
+fn sizes(fields: &ParticleFields) -> Option<Vec<f64>> {
+    if fields.dimension != 2 {
+        return None;
+    }
+    let of = |(mass, density): (&f64, &f64)| (mass / density).sqrt();
+    let sizes: Vec<f64> = fields.mass.iter().zip(&fields.density).map(of).collect();
+    let (least, most) = sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
+    (sizes.iter().all(|x| x.is_finite()) && most > 2.0 * least).then_some(sizes)
 }
 
 /// Positions `[2, N]`, values and tags of the particles of a picture: all, or in three dimensions those within half a

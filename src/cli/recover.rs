@@ -444,7 +444,14 @@ fn pictures<R: Sweeps>(
         let mut drawn = Vec::new();
         for (title, (position, speeds)) in panels {
             let diameter = scene.spacing;
-            drawn.push(TemperaturePanel { title, position, temperature: speeds, tag: &model.tags, diameter });
+            drawn.push(TemperaturePanel {
+                title,
+                position,
+                temperature: speeds,
+                tag: &model.tags,
+                diameter,
+                diameters: None,
+            });
         }
         let range = |k: usize| (scene.corner[k], scene.corner[k] + model.domain.size[k]);
         colored_particles(&folder.join(name), "speed |u|", &drawn, (0.0, most.max(1e-6)), range(0), range(1))

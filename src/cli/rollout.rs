@@ -239,6 +239,7 @@ impl Scene<'_> {
                     temperature: &values[k],
                     tag: &self.tag,
                     diameter: self.metadata.dx,
+                    diameters: None,
                 })
             })
             .collect();

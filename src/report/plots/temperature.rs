@@ -33,6 +33,8 @@ pub struct TemperaturePanel<'a> {
     pub tag: &'a [u8],
     /// Of a particle, scene length units.
     pub diameter: f64,
+    /// Of each particle instead, `[N]`, where these are of many sizes.
+    pub diameters: Option<&'a [f64]>,
 }
 
 /// Draws panels under each other: fluid particles coloured from `t_min` to `t_max`, wall particles grey (those of
@@ -82,7 +84,6 @@ pub(super) fn draw_particles(
     pixels: f64,
 ) {
     let count = panel.tag.len();
-    let radius = 0.5 * panel.diameter * pixels;
     let inside = |part: f64| (-1e-9..=1.0 + 1e-9).contains(&part);
     for particle in 0..count {
         let (x, y) = (panel.position[particle], panel.position[count + particle]);
@@ -90,6 +91,7 @@ pub(super) fn draw_particles(
             continue;
         }
         let centre = frame.map((x, y));
+        let radius = 0.5 * panel.diameters.map_or(panel.diameter, |each| each[particle]) * pixels;
         let color = match panel.tag[particle] {
             FLUID => colors::heat((panel.temperature[particle] - t_min) / (t_max - t_min)),
             HOT_WALL => {
@@ -153,7 +155,7 @@ pub(super) fn check(
         return bad("there is no panel".into(), "at least one");
     }
     check_ranges(path, [("temperature", t_range), ("x", x_range), ("y", y_range)])?;
-    for TemperaturePanel { title, position, temperature, tag, diameter } in panels {
+    for TemperaturePanel { title, position, temperature, tag, diameter, .. } in panels {
         let (count, warm, places) = (tag.len(), temperature.len(), position.len());
         if places != 2 * count || warm != count {
             return bad(
