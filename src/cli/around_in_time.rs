@@ -1,10 +1,10 @@
 //! `simulate` of fixed particles around shapes whose flow goes on in time.
 
+use super::around_shapes::{fastest, of_objective};
 use super::files;
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
-use crate::design::objectives::Figure;
 use crate::io::csv::{write_table, Cell};
 use crate::io::vtk::VtkSeries;
 use crate::io::FileError;
@@ -14,7 +14,9 @@ use crate::report::table::Table;
 use crate::scene::around_in_time::{Course, History};
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
+use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
+use crate::sph::cloud::figures::Figure;
 use serde_json::{json, Value};
 use std::path::Path;
 use std::time::Instant;
@@ -36,34 +38,30 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
     let (end, frames) = (config.time.end, config.output.frames);
     let bar = Progress::new(TICKS as u64, "simulate");
-    // The fields need a scene, which the run holds: frames are kept until it has ended.
+    // Frames are written after the run, whose errors are of another kind.
     let mut kept = vec![];
     let mut next = 1;
-    let mut fastest: f64 = 0.0;
+    let mut speed: f64 = 0.0;
     let (history, last) = around.march(&around.first(), None, &mut |moment, solution| {
         bar.set_position((TICKS * moment.time / end) as u64);
         if frames > 0 && moment.time >= end * next as f64 / frames as f64 * (1.0 - 1e-12) {
-            kept.push((moment.time, solution.clone()));
+            kept.push(ParticleFields { time: moment.time, ..around.fields(solution) });
             next = (moment.time / end * frames as f64 * (1.0 + 1e-12)) as usize + 1;
         }
-        let [u, v, ..] = &solution.state.fields;
-        fastest = fastest.max(u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f64::max));
+        speed = speed.max(fastest(solution));
         Ok(())
     })?;
     bar.finish();
     let seconds = clock.elapsed().as_secs_f64();
-    for (time, solution) in &kept {
-        let mut fields = around.fields(solution);
-        fields.time = *time;
+    for fields in &kept {
         fields.with_frame(|frame| series.write(frame))?;
     }
-    let mut fields = around.fields(&last);
-    (fields.time, fields.step) = (end, history.sizes.len());
+    let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     fields.write(folder, config, &loaded.text)?;
     let heat = files::plot_flow_and_heat(folder, &[("end", &fields)], config.resolution.dx)?;
     write_history(folder, &history)?;
-    let from = end - config.objective.window.min(end);
-    let record = record(loaded, &around, &history, from, fastest, seconds);
+    let from = around.window();
+    let record = record(loaded, &around, &history, from, speed, seconds);
     files::write_summary(folder, &record)?;
     let (least, most) = history.sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
     println!(
@@ -75,12 +73,9 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     );
     print_courses(&history, from, end);
     if around.has_objective() {
-        let objective = history.objective(from);
-        let quantity = Figure::of_config(config).quantity;
-        let what = if config.objective.terms.is_empty() { quantity } else { "sum of objective.terms" };
-        println!("objective           {:.6}   {what}, mean of the window", objective);
+        println!("objective           {:.6}   {}, mean of the window", history.objective(from), of_objective(config));
     }
-    print_dimensionless(config, fastest);
+    print_dimensionless(config, speed);
     println!(
         "files in {}: report.html, summary.json, history.csv, flow.png{}, state.h5, particles/particles.pvd (ParaView)",
         folder.display(),
@@ -131,7 +126,6 @@ fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, 
     for (k, (name, figure)) in history.figures.iter().enumerate() {
         let course = history.of(from, k);
         all.push(course_json(name, &course));
-        use crate::sph::cloud::figures::Figure;
         match *figure {
             Figure::Force { shape, along } => {
                 if along == 0 {
@@ -148,7 +142,7 @@ fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, 
     if around.has_objective() {
         let objective = history.course(from, &|moment| moment.objective);
         record.put("objective_kind", loaded.config.objective.kind);
-        record.put("objective", history.objective(from));
+        record.put("objective", objective.mean);
         all.push(course_json("objective", &objective));
         record.put("objective_at_end", history.moments.last().map(|moment| moment.objective));
     }

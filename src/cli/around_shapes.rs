@@ -18,6 +18,7 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
+use crate::sph::cloud::placing::Places;
 use crate::sph::cloud::problem::Solution;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
@@ -39,7 +40,7 @@ fn number(figures: &Figures, name: &str) -> Option<f64> {
 }
 
 /// The fastest particle.
-fn fastest(solution: &Solution) -> f64 {
+pub fn fastest(solution: &Solution) -> f64 {
     let [u, v, ..] = &solution.state.fields;
     u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f64::max)
 }
@@ -98,6 +99,14 @@ fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) ->
     found
 }
 
+/// What the objective is, in words.
+pub fn of_objective(config: &Config) -> &'static str {
+    match config.objective.terms.is_empty() {
+        true => Figure::of_config(config).quantity,
+        false => "sum of objective.terms",
+    }
+}
+
 /// Prints the figures of a solution.
 pub fn print_figures(config: &Config, figures: &Figures) {
     let has_heat = config.initial.temperature.is_some();
@@ -136,9 +145,7 @@ pub fn print_figures(config: &Config, figures: &Figures) {
         println!("{}", table.to_text());
     }
     if let Some(objective) = number(figures, "objective") {
-        let Figure { quantity, .. } = Figure::of_config(config);
-        let what = if config.objective.terms.is_empty() { quantity } else { "sum of objective.terms" };
-        println!("objective           {objective:.6}   {what}");
+        println!("objective           {objective:.6}   {}", of_objective(config));
     }
 }
 
@@ -187,6 +194,22 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     own.finish()
 }
 
+fn least_spacing(places: &Places) -> f64 {
+    places.spacing.iter().copied().fold(f64::INFINITY, f64::min)
+}
+
+fn print_particles(loaded: &Loaded, places: &Places) {
+    let config = &loaded.config;
+    println!("{}: scene {}, 2 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
+    println!(
+        "particles           {} in all: {} fluid, {} on walls; spacing {:.2e} at least",
+        places.place.len(),
+        places.inside,
+        places.boundary.len(),
+        least_spacing(places)
+    );
+}
+
 /// `hydrograd scenes check`: particles and what they cost, and what looks implausible.
 pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let config = &loaded.config;
@@ -194,9 +217,7 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let mut around = AroundShapes::new(config)?;
     let placed = clock.elapsed().as_secs_f64();
     if config.unsteady().is_some() {
-        let places = &around.flow.cloud.places;
-        println!("{}: scene {}, 2 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
-        println!("particles           {} in all: {} fluid", places.place.len(), places.inside);
+        print_particles(loaded, &around.flow.cloud.places);
         println!(
             "method              fixed: a flow in time to t = {}, whose steps are chosen on the way",
             config.time.end
@@ -214,14 +235,9 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     };
     files::plot_scene(folder, ("particles", label), &[("steady", &fields)], &[values], config.resolution.dx)?;
     let places = &around.flow.cloud.places;
-    let least = places.spacing.iter().copied().fold(f64::INFINITY, f64::min);
+    let least = least_spacing(places);
     let on_walls = places.boundary.len();
-    println!("{}: scene {}, 2 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
-    println!(
-        "particles           {} in all: {} fluid, {on_walls} on walls; spacing {least:.2e} at least",
-        places.place.len(),
-        places.inside
-    );
+    print_particles(loaded, places);
     println!("method              fixed: a steady flow, no steps in time");
     println!("run time            {seconds:.2} s, of which {placed:.2} s place the particles");
     println!(
@@ -305,18 +321,18 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let clock = Instant::now();
     let mut around = AroundShapes::new(config)?;
     let first = around.first();
-    let solve_clock = |clock: Instant| (clock.elapsed().as_secs_f64(), Instant::now());
+    let lap = |clock: Instant| (clock.elapsed().as_secs_f64(), Instant::now());
     // Steps of a flow in time are chosen once, for all that it is compared with.
     let (history, value, gradient, solved, clock) = if config.unsteady().is_some() {
         let (history, _) = around.march(&first, None, &mut |_, _| Ok(()))?;
-        let (solved, clock) = solve_clock(clock);
+        let (solved, clock) = lap(clock);
         let gradient = around.march_gradient(&first, &history)?;
         let value = history.objective(around.window());
         (Some(history), value, gradient, solved, clock)
     } else {
         let solution = around.solve(&first)?;
         let (value, terms) = around.objective(&solution);
-        let (solved, clock) = solve_clock(clock);
+        let (solved, clock) = lap(clock);
         (None, value, around.gradient(&solution, &terms)?, solved, clock)
     };
     let seconds = clock.elapsed().as_secs_f64();

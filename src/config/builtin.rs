@@ -232,13 +232,16 @@ pub const PRESETS: &[BuiltIn] = &[
     built_in!("report-jax-sph", "the same with the report's own equations, JAX-SPH's (950 particles)", "presets/"),
 ];
 
-/// The example with a name.
+fn named(all: &'static [BuiltIn], name: &str) -> Option<&'static BuiltIn> {
+    all.iter().find(|one| one.name == name)
+}
+
 pub fn example(name: &str) -> Option<&'static BuiltIn> {
-    EXAMPLES.iter().find(|example| example.name == name)
+    named(EXAMPLES, name)
 }
 
 pub fn scene(name: &str) -> Option<&'static BuiltIn> {
-    SCENES.iter().find(|scene| scene.name == name)
+    named(SCENES, name)
 }
 
 impl Family {
@@ -267,10 +270,7 @@ impl Family {
 
 /// The preset with a name, or an error that lists the names.
 pub fn preset(name: &str) -> Result<&'static BuiltIn, BadInput> {
-    PRESETS
-        .iter()
-        .find(|preset| preset.name == name)
-        .ok_or_else(|| unknown("preset", name, PRESETS).place(format!("preset {name}")))
+    named(PRESETS, name).ok_or_else(|| unknown("preset", name, PRESETS).place(format!("preset {name}")))
 }
 
 /// The error for an unknown name, with the known names and the nearest one.

@@ -34,32 +34,37 @@ pub struct Function {
     variables: Vec<usize>,
 }
 
+/// The names of the components of a place.
+fn place(dimension: usize) -> impl Iterator<Item = (usize, &'static str)> {
+    ["x", "y", "z"].into_iter().take(dimension).enumerate()
+}
+
 impl Formula {
     /// Parses a formula of the place; `key` is its key in messages, such as `shapes[2].temperature`.
     ///
     /// # Errors
     /// An invalid expression, or one with other variables than x, y, z (z only in three dimensions).
     pub fn function(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
-        self.read(key, place.collect(), &format!("a place in {dimension} dimensions"))
+        self.read(key, place(dimension).collect(), &format!("a place in {dimension} dimensions"))
     }
 
     /// Reads an expression of the place and of the time t.
     pub fn function_of_time(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
-        self.read(key, place.chain([(3, "t")]).collect(), &format!("a place in {dimension} dimensions and a time"))
+        self.read(
+            key,
+            place(dimension).chain([(3, "t")]).collect(),
+            &format!("a place in {dimension} dimensions and a time"),
+        )
     }
 
     /// Reads an expression of the place and of the parameters of a shape.
     pub fn function_of_parameters(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
-        self.read(key, place.chain(PARAMETERS).collect(), &format!("a place in {dimension} dimensions"))
+        self.read(key, place(dimension).chain(PARAMETERS).collect(), &format!("a place in {dimension} dimensions"))
     }
 
     /// Reads an expression of the place, of the time and of the parameters of a shape.
     pub fn function_of_all(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        let place = ["x", "y", "z"].into_iter().take(dimension).enumerate();
-        let names = place.chain([(3, "t")]).chain(PARAMETERS).collect();
+        let names = place(dimension).chain([(3, "t")]).chain(PARAMETERS).collect();
         self.read(key, names, &format!("a place in {dimension} dimensions and a time"))
     }
 

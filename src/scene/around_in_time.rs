@@ -1,6 +1,6 @@
 //! Custom scenes of fixed particles whose flow goes on in time: steps, and figures of each.
 
-use super::around_shapes::{no_solution, AroundShapes};
+use super::around_shapes::{no_solution, tolerance, AroundShapes};
 use crate::config::formula::Function;
 use crate::config::scene::Config;
 use crate::error::Error;
@@ -45,12 +45,8 @@ pub struct Course {
 impl History {
     /// A figure from time `from` on; `value` takes it from a moment. Means are over time.
     pub fn course(&self, from: f64, value: &dyn Fn(&Moment) -> f64) -> Course {
-        let part: Vec<(f64, f64)> =
-            self.moments.iter().filter(|m| m.time >= from).map(|m| (m.time, value(m))).collect();
-        let span = |pair: &[(f64, f64)]| pair[1].0 - pair[0].0;
-        let total: f64 = part.windows(2).map(span).sum();
-        let sum: f64 = part.windows(2).map(|pair| span(pair) * 0.5 * (pair[0].1 + pair[1].1)).sum();
-        let mean = if total > 0.0 { sum / total } else { part.last().map_or(f64::NAN, |last| last.1) };
+        let part: Vec<(f64, f64)> = self.moments[self.first(from)..].iter().map(|m| (m.time, value(m))).collect();
+        let mean = self.mean(from, value);
         let least = part.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
         let most = part.iter().map(|p| p.1).fold(f64::NEG_INFINITY, f64::max);
         // Crossings of a band around the mean, so that noise makes none.
@@ -60,7 +56,7 @@ impl History {
             is_low |= pair[0].1 < mean - band;
             if is_low && pair[0].1 < mean && pair[1].1 >= mean {
                 let share = (mean - pair[0].1) / (pair[1].1 - pair[0].1);
-                crossings.push(pair[0].0 + share * span(pair));
+                crossings.push(pair[0].0 + share * (pair[1].0 - pair[0].0));
                 is_low = false;
             }
         }
@@ -71,11 +67,16 @@ impl History {
         Course { mean, least, most, frequency }
     }
 
+    /// The first moment from a time on; the last one if rounding has put it before that.
+    fn first(&self, from: f64) -> usize {
+        let found = self.moments.iter().position(|moment| moment.time >= from);
+        found.unwrap_or(self.moments.len().saturating_sub(1))
+    }
+
     /// Of each moment its weight in a mean over time from `from` on, by trapezes.
     pub fn weights(&self, from: f64) -> Vec<f64> {
         let mut weights = vec![0.0; self.moments.len()];
-        let first = self.moments.iter().position(|moment| moment.time >= from).unwrap_or(0);
-        for k in first + 1..self.moments.len() {
+        for k in self.first(from) + 1..self.moments.len() {
             let half = 0.5 * (self.moments[k].time - self.moments[k - 1].time);
             weights[k - 1] += half;
             weights[k] += half;
@@ -88,9 +89,13 @@ impl History {
         weights
     }
 
+    fn mean(&self, from: f64, value: &dyn Fn(&Moment) -> f64) -> f64 {
+        self.weights(from).iter().zip(&self.moments).filter(|(w, _)| **w != 0.0).map(|(w, m)| w * value(m)).sum()
+    }
+
     /// The mean objective from `from` on.
     pub fn objective(&self, from: f64) -> f64 {
-        self.weights(from).iter().zip(&self.moments).filter(|(w, _)| **w != 0.0).map(|(w, m)| w * m.objective).sum()
+        self.mean(from, &|moment| moment.objective)
     }
 
     /// The course of a figure by its index.
@@ -105,8 +110,8 @@ struct Boundary<'a> {
     shaped: &'a Shaped,
     /// The formulas of fields at the start that depend on the place.
     start: Vec<(usize, Function)>,
-    /// Parameters of formulas by which derivatives are wanted: shape and number.
-    parameters: Vec<(usize, usize)>,
+    /// Numbers by which derivatives are wanted: shape and number.
+    wanted: &'a [(usize, usize)],
 }
 
 impl InTime for Boundary<'_> {
@@ -119,7 +124,7 @@ impl InTime for Boundary<'_> {
     }
 
     fn pull_back(&self, time: f64, bar: &Bar, position: &mut [Vec<f64>; 2], parameters: &mut [f64]) {
-        for (to, &wanted) in parameters.iter_mut().zip(&self.parameters) {
+        for (to, &wanted) in parameters.iter_mut().zip(self.wanted).filter(|(_, &w)| self.cloud.is_parameter(w)) {
             *to += self.cloud.by_parameter(self.shaped, bar, wanted, time);
         }
         let inside = self.cloud.places.inside;
@@ -156,11 +161,15 @@ impl InTime for Boundary<'_> {
     }
 }
 
-/// The state that a scene begins with.
-fn first_state(config: &Config, shaped: &Shaped, inside: usize) -> Result<State, Error> {
+/// The state that a scene begins with, by the formulas of its fields.
+fn first_state(
+    config: &Config,
+    shaped: &Shaped,
+    inside: usize,
+    (velocity, temperature): (&[Function], Option<&Function>),
+) -> State {
     let n = shaped.position[0].len();
     let mut state = State::at_rest(n);
-    let (velocity, temperature) = config.initial.at_start(2)?;
     for i in 0..n {
         let place = [shaped.position[0][i], shaped.position[1][i], 0.0];
         let of_wall = i.checked_sub(inside).map(|k| shaped.conditions[k]);
@@ -171,13 +180,13 @@ fn first_state(config: &Config, shaped: &Shaped, inside: usize) -> Result<State,
                 _ => velocity.get(e).map_or(0.0, |function| function.at(place)),
             };
         }
-        state.fields[3][i] = match (of_wall.map(|condition| condition.warmth), &temperature) {
+        state.fields[3][i] = match (of_wall.map(|condition| condition.warmth), temperature) {
             (Some(Warmth::Given(given)), _) => given,
             (_, Some(function)) => function.at(place) - config.fluid.inlet_temperature,
             _ => 0.0,
         };
     }
-    Ok(state)
+    state
 }
 
 impl AroundShapes {
@@ -208,7 +217,8 @@ impl AroundShapes {
     fn begin(&self, variables: &[f64]) -> Result<Begun, Error> {
         let (config, cloud) = (self.config(), &self.flow.cloud);
         let shaped = cloud.shaped(&self.numbers(variables)).map_err(|why| no_solution(config, &why.into()))?;
-        let first = first_state(config, &shaped, cloud.places.inside)?;
+        let (velocity, temperature) = config.initial.at_start(2)?;
+        let first = first_state(config, &shaped, cloud.places.inside, (&velocity, temperature.as_ref()));
         let rate = Rate { measures: &self.flow.measures, shaped: &shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
         let march =
@@ -218,7 +228,6 @@ impl AroundShapes {
             // Refused for flows in time.
             Held::Power { .. } => f64::NAN,
         });
-        let (velocity, temperature) = config.initial.at_start(2)?;
         let start = velocity.into_iter().enumerate().chain(temperature.map(|function| (3, function)));
         let start = start.filter(|(_, function)| !function.is_constant()).collect();
         Ok(Begun { shaped: Arc::new(shaped), first, march, flow_rate, start })
@@ -236,15 +245,14 @@ impl AroundShapes {
         watch: &mut dyn FnMut(&Moment, &Solution) -> Result<(), Error>,
     ) -> Result<(History, Solution), Error> {
         let config = self.config();
-        let tolerance = config.unsteady().map_or(1e-3, |fixed| fixed.tolerance);
         let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
         let cloud = &self.flow.cloud;
         let mut history = History { figures: self.named_figures(), ..History::default() };
         let (has_objective, read_at) = (self.has_objective(), self.flow.measures.read_at());
-        let boundary = Boundary { cloud, shaped: &shaped, start, parameters: vec![] };
+        let boundary = Boundary { cloud, shaped: &shaped, start, wanted: &[] };
         let equations = march.equations().clone();
         let (mut last, mut moments) = (None, vec![]);
-        let mut seen = |time: f64, _: f64, state: &State| -> Result<(), Failure> {
+        let mut seen = |time: f64, state: &State| -> Result<(), Failure> {
             interrupt::check().map_err(Failure::Other)?;
             let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
             let at = At { equations: &equations, shaped: &shaped, state, d: &derivatives };
@@ -265,7 +273,7 @@ impl AroundShapes {
             spacing: &cloud.places.spacing,
         };
         let control = Control {
-            tolerance,
+            tolerance: tolerance(config),
             velocity: config.fluid.reference_velocity,
             fixed: config.time.step,
             end: config.time.end,
@@ -275,10 +283,6 @@ impl AroundShapes {
             None => flow.run(first, control, &mut seen),
         };
         history.sizes = taken.map_err(|failure| match failure {
-            Failure::Flow(NoSteadyState::Diverged { residual: time }) => Error::diverged(
-                format!("the flow is not finite after t = {time:.4}"),
-                format!("method.tolerance={:e}, or {}", 0.1 * tolerance, self.finer_advice()),
-            ),
             Failure::Flow(why) => no_solution(config, &NoSolution::Flow(why)),
             Failure::Other(error) => error,
         })?;
@@ -301,10 +305,7 @@ impl AroundShapes {
     pub fn march_gradient(&self, variables: &[f64], history: &History) -> Result<Vec<f64>, Error> {
         let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
         let cloud = &self.flow.cloud;
-        let is_parameter = |&&(shape, number): &&(usize, usize)| number >= cloud.ground.outlines[shape].geometry;
-        let parameters: Vec<(usize, usize)> = self.wanted.iter().filter(is_parameter).copied().collect();
-        let count = parameters.len();
-        let boundary = Boundary { cloud, shaped: &shaped, start, parameters };
+        let boundary = Boundary { cloud, shaped: &shaped, start, wanted: &self.wanted };
         let weights = history.weights(self.window());
         let (equations, read_at) = (march.equations().clone(), self.flow.measures.read_at());
         let mut figures = |k: usize, state: &State, bar: &mut Bar| {
@@ -332,11 +333,10 @@ impl AroundShapes {
             flow_rate_back: &flow_rate_back,
         };
         let found = taken
-            .pull_back(&mut march, &mut figures, count)
+            .pull_back(&mut march, &mut figures, self.wanted.len())
             .map_err(|why| no_solution(self.config(), &NoSolution::Flow(why)))?;
         let mut all = cloud.by_numbers(&shaped, &found.position, &found.bar, &self.wanted, None);
-        let places = (0..self.wanted.len()).filter(|&k| is_parameter(&&self.wanted[k]));
-        places.zip(found.parameters).for_each(|(k, by)| all[k] = by);
+        all.iter_mut().zip(found.parameters).for_each(|(all, by)| *all += by);
         Ok(all)
     }
 }

@@ -180,8 +180,7 @@ impl AroundShapes {
         let wanted =
             numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();
         for (k, &(shape, _)) in wanted.iter().enumerate() {
-            let is_outline = wanted[k].1 < cloud.ground.outlines[shape].geometry;
-            if is_outline && !cloud.places.bodies.contains(&shape) {
+            if !cloud.is_parameter(wanted[k]) && !cloud.places.bodies.contains(&shape) {
                 let key = format!("variables[{k}].number");
                 let problem = format!(
                     "{key} = \"{}\": the shape touches another wall, or reaches out of the box",
@@ -565,8 +564,12 @@ fn probes(config: &Config) -> Vec<[f64; 2]> {
 /// Probes must be in the fluid or on a wall of it.
 fn check_probes(cloud: &Cloud, probes: &[[f64; 2]]) -> Result<(), BadInput> {
     let Ground { plane, dx, surface, far, .. } = cloud.ground;
+    if probes.is_empty() {
+        return Ok(());
+    }
+    let places = Nearest::new(plane, dx, &cloud.places.place);
     for probe in probes {
-        let near = Nearest::new(plane, dx, &cloud.places.place).one(*probe, 2.0 * far * dx);
+        let near = places.one(*probe, 2.0 * far * dx);
         let is_hidden = cloud.ground.is_in_wall(&cloud.places.polygons, *probe, None).is_some();
         // A point on a round wall is inside of it by rounding.
         if !near.is_some_and(|(distance, _)| !is_hidden || distance < surface) {
@@ -618,6 +621,11 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
     bad.advice(finer(config)).into()
 }
 
+/// Error of a step of a flow in time.
+pub(super) fn tolerance(config: &Config) -> f64 {
+    config.unsteady().map_or(1e-3, |fixed| fixed.tolerance)
+}
+
 pub(super) fn no_solution(config: &Config, why: &NoSolution) -> Error {
     match why {
         NoSolution::Cloud(Unusable::Folded([x, y])) => Error::diverged(
@@ -631,6 +639,10 @@ pub(super) fn no_solution(config: &Config, why: &NoSolution) -> Error {
         NoSolution::Flow(NoSteadyState::Diverged { residual }) => Error::diverged(
             format!("no steady flow was found: Newton's method ends with a residual of {residual:.1e}, also from a flow of 8 times the viscosity"),
             format!("{}, or fluid.viscosity={}", finer(config), 2.0 * config.fluid.viscosity),
+        ),
+        NoSolution::Flow(NoSteadyState::Unbounded { time }) => Error::diverged(
+            format!("the flow is not finite after t = {time:.4}"),
+            format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
         ),
         NoSolution::Flow(NoSteadyState::Adjoint) => {
             Error::diverged("the gradient's equations were not solved".to_string(), finer(config))

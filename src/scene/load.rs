@@ -450,7 +450,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
     let mut given = merged.clone();
     // A scene's default method already has its defaults.
     if config.scene.built_in().methods()[0] != config.method.name() {
-        periodic_sides(&mut merged, &config);
+        given_sides(&mut merged, &config);
         method_defaults(&mut merged, &config);
         config = merged.read();
     }
@@ -507,8 +507,8 @@ pub fn check_shape(config: &Config) -> Result<(), BadInput> {
     }
 }
 
-/// Sides that are given say which directions are periodic, if `region.periodic` does not.
-fn periodic_sides(merged: &mut Merged, config: &Config) {
+/// Sides that are given say which directions are periodic, if `region.periodic` does not, and that an inflow drives the flow.
+fn given_sides(merged: &mut Merged, config: &Config) {
     let mut periodic = config.region.periodic.clone();
     for (k, (_, side)) in config.region.sides.all().into_iter().enumerate() {
         if let (Some(side), Some(periodic)) = (side, periodic.get_mut(k / 2)) {
@@ -518,7 +518,7 @@ fn periodic_sides(merged: &mut Merged, config: &Config) {
     if periodic != config.region.periodic && !merged.places().contains_key("region.periodic") {
         merged.set("region.periodic", Value::Array(Array::from_iter(periodic)), "region.sides");
     }
-    // An inflow drives the flow; the body force of the scene's defaults is that of a periodic channel.
+    // The body force of the scene's defaults is that of a periodic channel.
     let enters =
         config.region.sides.all().iter().any(|(_, side)| side.is_some_and(|side| side.kind == SideKind::Inflow));
     if enters && !merged.places().contains_key("region.acceleration") {

@@ -69,7 +69,7 @@ impl Benchmark {
             progress(moment.time / end);
             Ok(())
         })?;
-        let from = end - config.objective.window;
+        let from = around.window();
         let of = |name: &str| {
             let k = history.figures.iter().position(|(own, _)| own == name).unwrap_or(0);
             history.of(from, k)

@@ -150,15 +150,20 @@ struct Attempt {
     found: Result<Found, String>,
 }
 
+/// What was found, if it is a number; else why not.
+fn finite(found: anyhow::Result<Found>) -> Result<Found, String> {
+    found.map_err(|error| error.to_string()).and_then(|found| match found.error.is_finite() {
+        true => Ok(found),
+        false => Err(format!("the error is {}", found.error)),
+    })
+}
+
 fn published(loaded: &Loaded, benchmark: Benchmark, progress: Progress) -> anyhow::Result<Attempt> {
     let clock = Instant::now();
     let done = benchmark.take(&loaded.config, progress);
     interrupt::check()?;
     let (particles, steps) = done.as_ref().map_or((0, 0), |done| (done.particles, done.steps));
-    let found = done.map_err(|error| error.to_string()).and_then(|done| match done.found.error.is_finite() {
-        true => Ok(done.found),
-        false => Err(format!("the error is {}", done.found.error)),
-    });
+    let found = finite(done.map(|done| done.found));
     Ok(Attempt { dx: loaded.config.resolution.dx, particles, steps, seconds: clock.elapsed().as_secs_f64(), found })
 }
 
@@ -169,10 +174,7 @@ fn attempt<R: Sweeps>(loaded: &Loaded, measure: Measure, progress: Progress) -> 
     // Not a failure of the case.
     interrupt::check()?;
     let seconds = clock.elapsed().as_secs_f64();
-    let found = found.map_err(|error| error.to_string()).and_then(|found| match found.error.is_finite() {
-        true => Ok(found),
-        false => Err(format!("the error is {}", found.error)),
-    });
+    let found = finite(found);
     let particles = scene.model.particles();
     Ok(Attempt { dx: scene.spacing, particles, steps: scene.steps, seconds, found })
 }

@@ -71,6 +71,13 @@ pub struct Buoyancy {
     pub at: f64,
 }
 
+impl Buoyancy {
+    /// The force along e at a temperature.
+    pub fn along(&self, e: usize, temperature: f64) -> f64 {
+        self.by[e] * (temperature - self.at)
+    }
+}
+
 /// The materials, forces and conditions of a flow at fixed particles.
 #[derive(Debug, Clone)]
 pub struct Equations {
@@ -92,6 +99,15 @@ pub struct Equations {
 /// Derivatives of all fields at all particles, `[N][COEFFICIENTS]` each.
 #[derive(Debug, Clone, Default)]
 pub struct Derivatives(pub [Vec<[f64; COEFFICIENTS]>; 4]);
+
+impl Derivatives {
+    pub fn zeros(particles: usize) -> Self {
+        Self(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; particles]))
+    }
+}
+
+/// The fields that the flow carries: u, v and T.
+pub const CARRIED: [usize; 3] = [0, 1, 3];
 
 impl Equations {
     pub fn particles(&self) -> usize {
@@ -123,23 +139,26 @@ impl Equations {
 
     /// Derivatives at the boundary and at some particles more; zeros at the others.
     pub fn derivatives_at(&self, operators: &Coefficients, state: &State, more: &[usize]) -> Derivatives {
-        let of = |f: usize| {
-            let mut d = vec![[0.0; COEFFICIENTS]; self.particles()];
-            if f < 3 || self.diffusivity.is_some() {
-                for i in (self.inside..self.particles()).chain(more.iter().copied()) {
-                    d[i] = operators.derivatives(&self.stencils, i, &state.fields[f]);
-                }
+        let mut d = Derivatives::zeros(self.particles());
+        for f in (0..4).filter(|&f| f < 3 || self.diffusivity.is_some()) {
+            for i in (self.inside..self.particles()).chain(more.iter().copied()) {
+                d.0[f][i] = operators.derivatives(&self.stencils, i, &state.fields[f]);
             }
-            d
-        };
-        Derivatives(std::array::from_fn(of))
+        }
+        d
+    }
+
+    /// The slopes along x and y of what is [`CARRIED`] (T only with heat) at particles inside.
+    pub fn carried_slopes(&self, operators: &Coefficients, state: &State) -> Vec<Vec<[f64; 2]>> {
+        let [u, v, _, t] = &state.fields;
+        let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, t] } else { &[u, v] };
+        operators.slopes(&self.stencils, fields, self.inside)
     }
 
     /// u . grad of u, v and T at particles inside.
     pub fn advection(&self, operators: &Coefficients, state: &State) -> Vec<[f64; 3]> {
-        let [u, v, _, t] = &state.fields;
-        let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, t] } else { &[u, v] };
-        let slopes = operators.slopes(&self.stencils, fields, self.inside);
+        let [u, v, ..] = &state.fields;
+        let slopes = self.carried_slopes(operators, state);
         let of = |i: usize| -> [f64; 3] {
             std::array::from_fn(|f| slopes.get(f).map_or(0.0, |slopes| u[i] * slopes[i][0] + v[i] * slopes[i][1]))
         };
@@ -148,7 +167,7 @@ impl Equations {
 
     /// Buoyancy on a particle along e.
     fn lift(&self, state: &State, i: usize, e: usize) -> f64 {
-        self.buoyancy.map_or(0.0, |buoyancy| buoyancy.by[e] * (state.fields[3][i] - buoyancy.at))
+        self.buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, state.fields[3][i]))
     }
 
     /// Residuals of momentum and continuity, `[N, 3]`.
@@ -414,7 +433,7 @@ pub struct Bar {
 impl Bar {
     pub fn new(particles: usize, boundary: usize) -> Self {
         Self {
-            derivatives: Derivatives(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; particles])),
+            derivatives: Derivatives::zeros(particles),
             boundary: vec![BoundaryBar::default(); boundary],
             position: std::array::from_fn(|_| vec![0.0; particles]),
             fields: std::array::from_fn(|_| vec![0.0; particles]),

@@ -13,7 +13,7 @@
 //! the bodies by their perimeters.
 
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, Warmth};
-use super::fit::{Coefficients, COEFFICIENTS};
+use super::fit::Coefficients;
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
 use super::wall_fit::WallFit;
@@ -539,7 +539,7 @@ impl FlowRate for Rate<'_> {
     fn by_state(&self, equations: &Equations, operators: &Coefficients) -> Vec<f64> {
         let n = equations.particles();
         let state = State::at_rest(n);
-        let d = Derivatives(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; n]));
+        let d = Derivatives::zeros(n);
         let at = At { equations, shaped: self.shaped, state: &state, d: &d };
         let mut bar = Bar::new(n, self.shaped.area.len());
         self.measures.pull_back(Figure::FlowRate, &at, 1.0, &mut bar);

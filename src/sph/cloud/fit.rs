@@ -35,6 +35,19 @@ const P: usize = 15;
 /// The scale of a fit in R.
 const SCALE: f64 = 2.5;
 
+/// R and h of a fit, given the distance of the first neighbour that is left out.
+pub(super) fn reach_and_scale(distance: f64) -> (f64, f64) {
+    let reach = 1.0001 * distance;
+    (reach, reach / SCALE)
+}
+
+/// W of a neighbour at a distance, and what is added to the difference of two places where the neighbour is a periodic image.
+pub(super) fn weight_and_shift(plane: Plane, [own, to]: [[f64; 2]; 2], distance: f64, reach: f64) -> (f64, [f64; 2]) {
+    let q = distance / reach;
+    let r = plane.between(own, to);
+    ((1.0 - q).powi(4) * (1.0 + 4.0 * q), std::array::from_fn(|d| r[d] - (to[d] - own[d])))
+}
+
 /// The stencils of all particles: neighbours, weights and scales of the reference cloud.
 #[derive(Debug, Clone)]
 pub struct Stencils {
@@ -93,17 +106,14 @@ impl Stencils {
             if found.len() <= neighbours {
                 return Err(i);
             }
-            let reach = 1.0001 * found[neighbours].0;
-            all.scale[i] = reach / SCALE;
+            let (reach, scale) = reach_and_scale(found[neighbours].0);
+            all.scale[i] = scale;
             for (k, &(distance, j)) in found[..neighbours].iter().enumerate() {
                 let place = pair(neighbours, i, k);
-                let q = distance / reach;
+                let (weight, shift) = weight_and_shift(plane, [places[i], places[j as usize]], distance, reach);
                 all.list[place] = j;
-                all.weight[place] = (1.0 - q).powi(4) * (1.0 + 4.0 * q);
-                let (r, straight) = (plane.between(places[i], places[j as usize]), places[j as usize]);
-                for d in 0..2 {
-                    all.shift[d][place] = r[d] - (straight[d] - places[i][d]);
-                }
+                all.weight[place] = weight;
+                (0..2).for_each(|d| all.shift[d][place] = shift[d]);
             }
         }
         // Lanes behind the last particle repeat it, so that their numbers are finite.

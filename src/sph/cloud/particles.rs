@@ -55,7 +55,7 @@ pub struct Cloud {
     pub fluid: Fluid,
     pub deformation: Deformation,
     pub stencils: Stencils,
-    /// Of each point of the boundary that is on no body.
+    /// Of each point of the boundary that is on no body, with heat.
     pub wall_fits: Vec<Option<WallFit>>,
     pub surroundings: std::sync::Arc<dyn Surroundings>,
 }
@@ -204,7 +204,8 @@ impl Cloud {
             let of = |i: usize, count: usize| all.of(places.place[i], count, |j, _| j != i && sight.sees(i, j));
             let on_wall = |point: &BoundaryPoint| {
                 let is_on_body = point.on.is_some_and(|(shape, _)| places.bodies.contains(&shape));
-                let near = (!is_on_body).then(|| of(point.particle, wall_fit::NEIGHBOURS + 1))?;
+                let near = (!is_on_body && fluid.diffusivity.is_some())
+                    .then(|| of(point.particle, wall_fit::NEIGHBOURS + 1))?;
                 WallFit::new(ground.plane, &places.place, point.particle, &near)
             };
             let near: Vec<_> = (0..places.place.len()).map(|i| of(i, NEIGHBOURS + 1)).collect();
@@ -226,6 +227,11 @@ impl Cloud {
     /// The numbers of all shapes in the reference cloud.
     pub fn numbers(&self) -> Vec<Vec<f64>> {
         self.ground.outlines.iter().map(|outline| outline.numbers.clone()).collect()
+    }
+
+    /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of an outline.
+    pub fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
+        number >= self.ground.outlines[shape].geometry
     }
 
     /// The equations for a shape, whose conditions they hold.
@@ -383,7 +389,7 @@ impl Cloud {
         let on_shapes = self.on_shapes();
         let by_condition = self.conditions_back(shaped, bar, time);
         let of = |&(shape, number): &(usize, usize)| {
-            if number >= self.ground.outlines[shape].geometry {
+            if self.is_parameter((shape, number)) {
                 return time.map_or(0.0, |time| self.by_parameter(shaped, bar, (shape, number), time));
             }
             let (points, parameters) = &on_shapes[shape];

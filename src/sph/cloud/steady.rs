@@ -29,6 +29,8 @@ pub enum NoSteadyState {
     Diverged { residual: f64 },
     /// The transposed system was not solved.
     Adjoint,
+    /// A flow in time left all bounds after this time.
+    Unbounded { time: f64 },
 }
 
 impl From<Singular> for NoSteadyState {
@@ -481,31 +483,33 @@ impl Solver {
         Ok(growth.max_by(|a, b| a.re.total_cmp(&b.re)).map(|sigma| (sigma.re, sigma.im.abs())))
     }
 
-    /// Makes the matrices those of a flow at rest, for [`Self::factors_at`]; returns their border.
-    pub(super) fn at_rest(&mut self, operators: &Coefficients, held: Option<(&Held, &dyn FlowRate)>) -> Border {
-        let state = State::at_rest(self.equations.particles());
-        let d = self.equations.derivatives(operators, &state, false);
-        self.equations.flow_matrix(&state, &d, operators, &mut self.flow);
-        if self.equations.diffusivity.is_some() {
-            self.equations.heat_matrix(&state, operators, &mut self.heat);
-        }
-        self.border(&state, &d, operators, held)
+    /// The border of a flow at rest.
+    pub(super) fn border_at_rest(&self, operators: &Coefficients, held: Option<(&Held, &dyn FlowRate)>) -> Border {
+        let n = self.equations.particles();
+        self.border(&State::at_rest(n), &Derivatives::zeros(n), operators, held)
     }
 
-    /// Factors of the present matrices with a rate of change of velocity and temperature at particles inside.
-    pub(super) fn factors_at(&self, rate: f64, border: &Border) -> Result<(Factors, Option<SparseLu>), Singular> {
-        let (mut flow, inside) = (self.flow.clone(), self.equations.inside);
-        add_rate(&mut flow, inside, rate);
-        let flow = Factors::new(&self.order, &flow, border, self.threads)?;
-        let heat = self.equations.diffusivity.map(|_| {
-            let mut heat = self.heat.clone();
-            (0..inside).for_each(|i| {
-                let entry = heat.entry(i, i as u32);
-                heat.values[entry] += rate;
-            });
-            SparseLu::new(&self.order, &heat, self.threads)
-        });
-        Ok((flow, heat.transpose()?))
+    /// Factors of the matrices of a flow at rest with a rate of change of velocity and temperature at particles inside.
+    pub(super) fn factors_at(
+        &mut self,
+        rate: f64,
+        operators: &Coefficients,
+        border: &Border,
+    ) -> Result<(Factors, Option<SparseLu>), Singular> {
+        let (n, inside) = (self.equations.particles(), self.equations.inside);
+        let state = State::at_rest(n);
+        self.equations.flow_matrix(&state, &Derivatives::zeros(n), operators, &mut self.flow);
+        add_rate(&mut self.flow, inside, rate);
+        let flow = Factors::new(&self.order, &self.flow, border, self.threads)?;
+        if self.equations.diffusivity.is_none() {
+            return Ok((flow, None));
+        }
+        self.equations.heat_matrix(&state, operators, &mut self.heat);
+        for i in 0..inside {
+            let entry = self.heat.entry(i, i as u32);
+            self.heat.values[entry] += rate;
+        }
+        Ok((flow, Some(SparseLu::new(&self.order, &self.heat, self.threads)?)))
     }
 
     /// Forgets the factors, for a state far from the last one.

@@ -11,17 +11,18 @@
 //!   a0 = (1 + 2 r) / (1 + r),   a1 = 1 + r,   a2 = r^2 / (1 + r),   N(f) = u . grad f,   1 / tau = 1 / tau_steady + a0 / (10 dt).
 //! ```
 //!
-//! The first two steps have r = 0, Euler's: the fields at the start need not fit to the walls. Velocity and pressure are solved for together, so there is no error of splitting and walls hold
-//! to rounding. The matrix is the same for all steps of
-//! one size; its factors ([`crate::numerics::sparse_lu`]) are kept, and a step is one solution with them.
+//! The first two steps have r = 0, Euler's: the fields at the start need not fit to the walls. Velocity and pressure are solved
+//! for together, so there is no error of splitting and walls hold to rounding. The matrix is the same for all steps of one
+//! size; its factors ([`crate::numerics::sparse_lu`]) are kept, and a step is one solution with them.
 //!
 //! The size follows from an estimate of the error of a step, the difference from what the last three states extrapolate to, and
 //! from how far the fluid may go, in spacings: advection is explicit.
 
-use super::equations::{Bar, Condition, Equations, Motion, State, Warmth};
+use super::equations::{Bar, Condition, Equations, Motion, State, Warmth, CARRIED};
 use super::fit::Coefficients;
 use super::steady::{Border, Factors, FlowRate, Held, NoSteadyState, Solver};
 use crate::numerics::sparse_lu::SparseLu;
+use std::borrow::Cow;
 
 /// How far the fluid may go in a step, in spacings. (Behind a cylinder steps of 0.7 are stable, of 1 they are not.)
 const COURANT: f64 = 0.5;
@@ -37,7 +38,7 @@ const LAG: f64 = 10.0;
 /// Matrices whose factors are kept.
 const KEPT: usize = 3;
 
-/// A step: its size, and that of the one before (0: none).
+/// A step: its size, and that of the one before (0: it does not look back).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     pub dt: f64,
@@ -45,6 +46,12 @@ pub struct Step {
 }
 
 impl Step {
+    /// The step of a size after steps of these sizes. The state at the start may not fit to walls and continuity, so no step looks
+    /// back to it.
+    pub fn after(sizes: &[f64], dt: f64) -> Self {
+        Self { dt, last: if sizes.len() > 1 { sizes[sizes.len() - 1] } else { 0.0 } }
+    }
+
     /// r, and a0, a1, a2 over dt.
     pub fn weights(&self) -> (f64, [f64; 3]) {
         let r = if self.last > 0.0 { self.dt / self.last } else { 0.0 };
@@ -64,6 +71,14 @@ pub trait InTime {
     fn conditions(&self, time: f64) -> Vec<Condition>;
     /// Whether they change with time.
     fn changes(&self) -> bool;
+    /// The conditions at a time, given those at the start.
+    fn at<'a>(&self, time: f64, start: &'a [Condition]) -> Cow<'a, [Condition]> {
+        if self.changes() {
+            Cow::Owned(self.conditions(time))
+        } else {
+            Cow::Borrowed(start)
+        }
+    }
     /// What cotangents of given velocities and temperatures at a time are of positions and of the parameters of formulas.
     fn pull_back(&self, _time: f64, _bar: &Bar, _position: &mut [Vec<f64>; 2], _parameters: &mut [f64]) {}
     /// What those of the first state's fields, `[4][N]`, are of the boundary and of positions.
@@ -108,8 +123,8 @@ impl March {
         threads: usize,
     ) -> Self {
         let damping = equations.damping.clone();
-        let mut solver = Solver::of_size(equations, places, 3, threads);
-        let border = solver.at_rest(operators, held);
+        let solver = Solver::of_size(equations, places, 3, threads);
+        let border = solver.border_at_rest(operators, held);
         Self { solver, kept: vec![], border, damping, factorisations: 0 }
     }
 
@@ -132,8 +147,7 @@ impl March {
             let found = self.kept.remove(k);
             self.kept.push(found);
         } else {
-            self.solver.at_rest(operators, None);
-            let (flow, heat) = self.solver.factors_at(rate, &self.border)?;
+            let (flow, heat) = self.solver.factors_at(rate, operators, &self.border)?;
             self.factorisations += 1;
             self.kept.push(Matrices { rate, flow, heat });
             if self.kept.len() > KEPT {
@@ -192,11 +206,8 @@ impl March {
         let pins = self.border.pins;
         let extra = self.border.columns.len();
         let carried = |i: usize, f: usize| {
-            let field = [0, 1, 3][f];
-            let last = match before.advection.get(i) {
-                Some(before_) if r > 0.0 => r * before_[f] + -a2 * before.state.fields[field][i],
-                _ => 0.0,
-            };
+            let field = CARRIED[f];
+            let last = if r > 0.0 { r * before.advection[i][f] + -a2 * before.state.fields[field][i] } else { 0.0 };
             a1 * now.state.fields[field][i] - (1.0 + r) * now.advection[i][f] + last
         };
         let mut state = State::at_rest(n);
@@ -216,7 +227,7 @@ impl March {
             for e in 0..2 {
                 right[3 * i + e] = match i.checked_sub(inside).map(|k| conditions[k].motion) {
                     None => {
-                        let lift = buoyancy.map_or(0.0, |b| b.by[e] * (state.fields[3][i] - b.at));
+                        let lift = buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, state.fields[3][i]));
                         carried(i, e) + force[e] + lift
                     }
                     Some(Motion::Given(given)) => given[e],
@@ -272,26 +283,24 @@ impl Flow<'_> {
         &mut self,
         first: State,
         sizes: &[f64],
-        watch: &mut dyn FnMut(f64, f64, &State) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, &State) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut conditions = self.boundary.conditions(0.0);
+        let start = self.boundary.conditions(0.0);
         let (mut time, mut before, mut now) = (0.0, Level::default(), self.march.level(self.operators, first));
         for (k, &dt) in sizes.iter().enumerate() {
-            let step = Step { dt, last: if k > 1 { sizes[k - 1] } else { 0.0 } };
+            let step = Step::after(&sizes[..k], dt);
             time += dt;
-            if self.boundary.changes() {
-                conditions = self.boundary.conditions(time);
-            }
+            let conditions = self.boundary.at(time, &start);
             let state = self.march.step(step, &now, &before, &conditions, self.flow_rate, self.operators)?;
-            watch(time, dt, &state)?;
+            watch(time, &state)?;
             let next = self.march.level(self.operators, state);
             before = std::mem::replace(&mut now, next);
         }
         Ok(())
     }
 
-    /// Goes on from `first` to the end; `watch` gets the time and state after each step and the size of the step, and may stop it.
-    /// Returns the sizes of all steps.
+    /// Goes on from `first` to the end; `watch` gets the time and state after each step, and may stop it. Returns the
+    /// sizes of all steps.
     ///
     /// # Errors
     /// A flow that is not finite, and those of `watch`.
@@ -299,19 +308,19 @@ impl Flow<'_> {
         &mut self,
         first: State,
         control: Control,
-        watch: &mut dyn FnMut(f64, f64, &State) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, &State) -> Result<(), E>,
     ) -> Result<Vec<f64>, E> {
         let Control { tolerance, velocity, fixed, end } = control;
         let inside = self.march.equations().inside;
         let level_of = |number: i32| end * RATIO.powi(-number);
         // The number of the largest size that is at most `most`.
         let number_of = |most: f64| ((end / most).ln() / RATIO.ln()).ceil().max(0.0) as i32;
-        let mut conditions = self.boundary.conditions(0.0);
-        let (mut time, mut last) = (0.0, 0.0);
+        let start = self.boundary.conditions(0.0);
+        let mut time = 0.0;
         let mut now = self.march.level(self.operators, first);
         let mut before = Level::default();
         let mut earlier: Option<(State, f64)> = None;
-        let mut sizes = vec![];
+        let mut sizes: Vec<f64> = vec![];
         // The first steps are of first order and start from a flow that the walls do not know, so they are small.
         let mut number = number_of(
             0.1 * self.courant(&now.state).min(self.spacing.iter().fold(f64::MAX, |a, &b| a.min(b)) / velocity),
@@ -324,19 +333,17 @@ impl Flow<'_> {
             if left < 5.0 {
                 dt = rest / left;
             }
-            let step = Step { dt, last };
-            if self.boundary.changes() {
-                conditions = self.boundary.conditions(time + dt);
-            }
+            let step = Step::after(&sizes, dt);
+            let conditions = self.boundary.at(time + dt, &start);
             let state = self.march.step(step, &now, &before, &conditions, self.flow_rate, self.operators)?;
             let fastest = (0..inside).map(|i| state.fields[0][i].hypot(state.fields[1][i])).fold(0.0, f64::max);
             if fastest > 1e3 * velocity || state.fields.iter().flatten().any(|x| !x.is_finite()) {
-                return Err(NoSteadyState::Diverged { residual: time }.into());
+                return Err(NoSteadyState::Unbounded { time }.into());
             }
             if fixed.is_none() {
                 // Of second order from the last three states.
                 let error = earlier.as_ref().map(|(earlier, size)| {
-                    let (a, b) = (last, last + size);
+                    let (a, b) = (step.last, step.last + size);
                     let weights =
                         [(dt + a) * (dt + b) / (a * b), -dt * (dt + b) / (a * (b - a)), dt * (dt + a) / (b * (b - a))];
                     let expected: [Vec<f64>; 2] = std::array::from_fn(|e| {
@@ -369,12 +376,10 @@ impl Flow<'_> {
             }
             time += dt;
             sizes.push(dt);
-            watch(time, dt, &state)?;
+            watch(time, &state)?;
             let next = self.march.level(self.operators, state);
             let gone = std::mem::replace(&mut before, std::mem::replace(&mut now, next));
-            // The state at the start may not fit to walls and continuity, so steps do not look back to it.
-            earlier = (sizes.len() > 3).then_some((gone.state, last));
-            last = if sizes.len() > 1 { dt } else { 0.0 };
+            earlier = (sizes.len() > 3).then_some((gone.state, step.last));
         }
         Ok(sizes)
     }

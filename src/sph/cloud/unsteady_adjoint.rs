@@ -9,7 +9,7 @@
 //! and N(f) = u . grad f gives its cotangent to u, f and the positions. States are kept at the ends of segments and made again
 //! within each, about as many segments as steps in one.
 
-use super::equations::{Bar, Buoyancy, Condition, State};
+use super::equations::{Bar, Condition, State, CARRIED};
 use super::fit::Coefficients;
 use super::steady::NoSteadyState;
 use super::unsteady::{InTime, Level, March, Step};
@@ -44,16 +44,7 @@ struct Back {
 
 impl Taken<'_> {
     fn step(&self, k: usize) -> Step {
-        Step { dt: self.sizes[k], last: if k > 1 { self.sizes[k - 1] } else { 0.0 } }
-    }
-
-    /// Times of the ends of steps, and the conditions there.
-    fn conditions(&self, time: f64, usual: &[Condition]) -> Vec<Condition> {
-        if self.boundary.changes() {
-            self.boundary.conditions(time)
-        } else {
-            usual.to_vec()
-        }
+        Step::after(&self.sizes[..k], self.sizes[k])
     }
 
     /// The levels after steps `from` ... `to`, given those before them.
@@ -68,7 +59,7 @@ impl Taken<'_> {
         let [before, now] = start;
         let mut all = vec![before, now];
         for k in from..to {
-            let conditions = self.conditions(times[k], usual);
+            let conditions = self.boundary.at(times[k], usual);
             let [before, now] = [&all[all.len() - 2], &all[all.len() - 1]];
             let state = march.step(self.step(k), now, before, &conditions, self.flow_rate, self.operators)?;
             all.push(march.level(self.operators, state));
@@ -130,7 +121,7 @@ impl Taken<'_> {
                 let y = march.transposed(a0, self.operators, &right, drive)?;
                 let mut earlier = zero.clone();
                 let mut heat = vec![];
-                let Buoyancy { by, .. } = march.equations().buoyancy.unwrap_or(Buoyancy { by: [0.0; 2], at: 0.0 });
+                let by = march.equations().buoyancy.map_or([0.0; 2], |buoyancy| buoyancy.by);
                 if has_heat {
                     let mut right_t = std::mem::take(&mut right[3]);
                     for i in 0..inside {
@@ -145,7 +136,7 @@ impl Taken<'_> {
                             2 => continue,
                             _ => y[3 * i + f],
                         };
-                        let field = [0, 1, 3][f];
+                        let field = CARRIED[f];
                         before.fields[field][i] += a1 * y;
                         before.advection[i][f] -= (1.0 + r) * y;
                         earlier.fields[field][i] -= a2 * y;
@@ -183,13 +174,12 @@ impl Taken<'_> {
 
     /// The cotangent of a level's advection, in those of its derivatives and fields.
     fn of_level(&self, march: &March, state: &State, back: &Back, bar: &mut Bar) {
-        let [u, v, _, t] = &state.fields;
-        let fields: &[&[f64]] = if march.equations().diffusivity.is_some() { &[u, v, t] } else { &[u, v] };
-        let slopes = self.operators.slopes(&march.equations().stencils, fields, march.equations().inside);
+        let [u, v, ..] = &state.fields;
+        let slopes = march.equations().carried_slopes(self.operators, state);
         for (i, advection) in back.advection.iter().enumerate() {
             for (f, slopes) in slopes.iter().enumerate() {
                 let weight = advection[f];
-                let field = [0, 1, 3][f];
+                let field = CARRIED[f];
                 bar.fields[0][i] += weight * slopes[i][0];
                 bar.fields[1][i] += weight * slopes[i][1];
                 bar.derivatives.0[field][i][0] += weight * u[i];
