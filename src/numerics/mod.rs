@@ -4,6 +4,7 @@ pub mod candle;
 pub mod eigenvalues;
 pub mod exponential;
 pub mod gather;
+pub mod incomplete_lu;
 pub mod interrupt;
 pub mod krylov;
 pub mod lanes;

@@ -12,26 +12,26 @@
 //! each particle has what the fit leaves of its neighbours' values, scaled as a Laplacian,
 //!
 //! ```text
-//!   S f = 4 / (h^2 sum_j W s^2) sum_j W (f_j - f_i - d.q),   s = r_ij / h_i,
+//!   S f = 2 D / (h^2 sum_j W s^2) sum_j W (f_j - f_i - d.q),   s = r_ij / h_i,
 //! ```
 //!
 //! which vanishes for quadratic fields, is of fourth order for smooth ones, and sees a checkerboard.
 //!
 //! Tables of pairs are `[blocks, K, WIDEST]`, those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
-use super::nearest::Plane;
+use super::nearest::Region;
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::numerics::sweep::{run_parts, PartKernel};
-use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, pull_back, solve, values};
+use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, monomials, packed, pull_back, solve, values};
 
-/// Coefficients of a pair: the derivatives x, y, xx, xy, yy, and S.
-pub const COEFFICIENTS: usize = 6;
+/// Coefficients of a pair in the plane: the derivatives x, y, xx, xy, yy, and S.
+pub const COEFFICIENTS: usize = monomials(2) + 1;
 /// The index of S.
-pub const LEFT: usize = 5;
-/// Monomials of second order in the plane, and the numbers of their matrix.
-const Q: usize = 5;
-const P: usize = 15;
+pub const LEFT: usize = monomials(2);
+/// The same in space: x, y, z, xx, xy, xz, yy, yz, zz, and S.
+pub const COEFFICIENTS_3D: usize = monomials(3) + 1;
+pub const LEFT_3D: usize = monomials(3);
 /// The scale of a fit in R.
 const SCALE: f64 = 2.5;
 
@@ -42,7 +42,12 @@ pub(super) fn reach_and_scale(distance: f64) -> (f64, f64) {
 }
 
 /// W of a neighbour at a distance, and what is added to the difference of two places where the neighbour is a periodic image.
-pub(super) fn weight_and_shift(plane: Plane, [own, to]: [[f64; 2]; 2], distance: f64, reach: f64) -> (f64, [f64; 2]) {
+pub(super) fn weight_and_shift<const D: usize>(
+    plane: Region<D>,
+    [own, to]: [[f64; D]; 2],
+    distance: f64,
+    reach: f64,
+) -> (f64, [f64; D]) {
     let q = distance / reach;
     let r = plane.between(own, to);
     ((1.0 - q).powi(4) * (1.0 + 4.0 * q), std::array::from_fn(|d| r[d] - (to[d] - own[d])))
@@ -50,13 +55,13 @@ pub(super) fn weight_and_shift(plane: Plane, [own, to]: [[f64; 2]; 2], distance:
 
 /// The stencils of all particles: neighbours, weights and scales of the reference cloud.
 #[derive(Debug, Clone)]
-pub struct Stencils {
+pub struct Stencils<const D: usize = 2> {
     pub particles: usize,
     /// Number of neighbours of each particle, K.
     pub neighbours: usize,
     pub list: Vec<u32>,
-    /// What is added to r_ij where the neighbour is a periodic image, `[2][blocks, K, WIDEST]`.
-    shift: [Vec<f64>; 2],
+    /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`.
+    shift: [Vec<f64>; D],
     weight: Vec<f64>,
     /// h_i, `[blocks, WIDEST]`.
     scale: Vec<f64>,
@@ -79,7 +84,7 @@ pub fn field(fields: usize, i: usize, k: usize) -> usize {
     (i / WIDEST * fields + k) * WIDEST + i % WIDEST
 }
 
-impl Stencils {
+impl<const D: usize> Stencils<D> {
     /// A matrix of zeros for equations of `size` fields at the particles, in which those of each contain its neighbours.
     pub fn matrix(&self, size: usize) -> BlockMatrix {
         let neighbours = |i: usize| (0..self.neighbours).map(|k| self.neighbour(i, k) as u32).collect();
@@ -90,14 +95,19 @@ impl Stencils {
     ///
     /// # Errors
     /// A particle with fewer than `neighbours + 1` of them.
-    pub fn new(plane: Plane, places: &[[f64; 2]], neighbours: usize, near: &[Vec<(f64, u32)>]) -> Result<Self, usize> {
+    pub fn new(
+        plane: Region<D>,
+        places: &[[f64; D]],
+        neighbours: usize,
+        near: &[Vec<(f64, u32)>],
+    ) -> Result<Self, usize> {
         let (n, rows) = (places.len(), blocks(places.len()));
         let empty = vec![0.0; rows * neighbours * WIDEST];
         let mut all = Self {
             particles: n,
             neighbours,
             list: vec![0; rows * neighbours * WIDEST],
-            shift: [empty.clone(), empty.clone()],
+            shift: std::array::from_fn(|_| empty.clone()),
             weight: empty,
             scale: vec![1.0; rows * WIDEST],
         };
@@ -113,7 +123,7 @@ impl Stencils {
                 let (weight, shift) = weight_and_shift(plane, [places[i], places[j as usize]], distance, reach);
                 all.list[place] = j;
                 all.weight[place] = weight;
-                (0..2).for_each(|d| all.shift[d][place] = shift[d]);
+                (0..D).for_each(|d| all.shift[d][place] = shift[d]);
             }
         }
         // Lanes behind the last particle repeat it, so that their numbers are finite.
@@ -122,7 +132,7 @@ impl Stencils {
             for k in 0..neighbours {
                 let (to, from) = (pair(neighbours, i, k), pair(neighbours, n - 1, k));
                 (all.list[to], all.weight[to]) = (all.list[from], all.weight[from]);
-                (0..2).for_each(|d| all.shift[d][to] = all.shift[d][from]);
+                (0..D).for_each(|d| all.shift[d][to] = all.shift[d][from]);
             }
         }
         Ok(all)
@@ -138,39 +148,40 @@ impl Stencils {
     }
 
     /// Neighbour, weight and constant shift of a pair.
-    pub fn pair(&self, i: usize, k: usize) -> (usize, f64, [f64; 2]) {
+    pub fn pair(&self, i: usize, k: usize) -> (usize, f64, [f64; D]) {
         let place = pair(self.neighbours, i, k);
-        (self.list[place] as usize, self.weight[place], [self.shift[0][place], self.shift[1][place]])
+        (self.list[place] as usize, self.weight[place], std::array::from_fn(|d| self.shift[d][place]))
     }
 
-    /// The coefficients of all pairs for positions `[2][N]`, `[blocks, K, COEFFICIENTS, WIDEST]`.
-    pub fn coefficients(&self, position: &[Vec<f64>; 2]) -> Coefficients {
+    /// C coefficients of all pairs, of Q monomials, with P numbers in their matrix.
+    fn all_coefficients<const Q: usize, const P: usize, const C: usize>(
+        &self,
+        position: &[Vec<f64>; D],
+    ) -> Coefficients<C> {
         let padded = self.padded(position);
-        let width = self.neighbours * COEFFICIENTS * WIDEST;
+        let width = self.neighbours * C * WIDEST;
         let mut value = vec![0.0; blocks(self.particles) * width];
-        run_parts(&Forward { stencils: self, position: &padded }, value.chunks_exact_mut(width));
+        run_parts(&Forward::<D, Q, P> { stencils: self, position: &padded }, value.chunks_exact_mut(width));
         Coefficients { neighbours: self.neighbours, value }
     }
 
-    /// The cotangents of positions `[2][N]`, added to `position_bar`, given those of the derivatives of fields.
-    ///
-    /// `fields`: F of `[N]`; `bar`: `[F][N][COEFFICIENTS]`, the cotangents of x, y, xx, xy, yy and S of each field.
-    pub fn pull_back(
+    fn pull_back_all<const Q: usize, const P: usize, const C: usize>(
         &self,
-        position: &[Vec<f64>; 2],
+        position: &[Vec<f64>; D],
         fields: &[&[f64]],
-        bar: &[Vec<[f64; COEFFICIENTS]>],
-        position_bar: &mut [Vec<f64>; 2],
+        bar: &[Vec<[f64; C]>],
+        position_bar: &mut [Vec<f64>; D],
     ) {
         let padded = self.padded(position);
-        let width = 2 * self.neighbours * WIDEST;
+        let width = D * self.neighbours * WIDEST;
         let mut pairs = vec![0.0; blocks(self.particles) * width];
-        run_parts(&Backward { stencils: self, position: &padded, fields, bar }, pairs.chunks_exact_mut(width));
+        let kernel = Backward::<D, Q, P, C> { stencils: self, position: &padded, fields, bar };
+        run_parts(&kernel, pairs.chunks_exact_mut(width));
         for i in 0..self.particles {
             for k in 0..self.neighbours {
                 let j = self.neighbour(i, k);
-                for d in 0..2 {
-                    let r_bar = pairs[field(2 * self.neighbours, i, 2 * k + d)];
+                for d in 0..D {
+                    let r_bar = pairs[field(D * self.neighbours, i, D * k + d)];
                     position_bar[d][j] += r_bar;
                     position_bar[d][i] -= r_bar;
                 }
@@ -186,32 +197,67 @@ impl Stencils {
         padded
     }
 
-    fn padded(&self, position: &[Vec<f64>; 2]) -> [Vec<f64>; 2] {
-        [self.padded_field(&position[0]), self.padded_field(&position[1])]
+    fn padded(&self, position: &[Vec<f64>; D]) -> [Vec<f64>; D] {
+        std::array::from_fn(|d| self.padded_field(&position[d]))
     }
 }
 
+/// What fits in a number of dimensions are made of.
+macro_rules! in_dimension {
+    ($dimension: literal, $coefficients: ident) => {
+        impl Stencils<$dimension> {
+            /// The coefficients of all pairs for positions `[D][N]`, `[blocks, K, C, WIDEST]`.
+            pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
+                self.all_coefficients::<{ monomials($dimension) }, { packed(monomials($dimension)) }, $coefficients>(
+                    position,
+                )
+            }
+
+            /// The cotangents of positions `[D][N]`, added to `position_bar`, given those of the derivatives of fields.
+            ///
+            /// `fields`: F of `[N]`; `bar`: `[F][N][C]`, the cotangents of all derivatives and S of each field.
+            pub fn pull_back(
+                &self,
+                position: &[Vec<f64>; $dimension],
+                fields: &[&[f64]],
+                bar: &[Vec<[f64; $coefficients]>],
+                position_bar: &mut [Vec<f64>; $dimension],
+            ) {
+                self.pull_back_all::<{ monomials($dimension) }, { packed(monomials($dimension)) }, $coefficients>(
+                    position,
+                    fields,
+                    bar,
+                    position_bar,
+                );
+            }
+        }
+    };
+}
+
+in_dimension!(2, COEFFICIENTS);
+in_dimension!(3, COEFFICIENTS_3D);
+
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]
-pub struct Coefficients {
+pub struct Coefficients<const C: usize = COEFFICIENTS> {
     neighbours: usize,
     value: Vec<f64>,
 }
 
-impl Coefficients {
-    /// x, y, xx, xy, yy and S of neighbour k of particle i.
+impl<const C: usize> Coefficients<C> {
+    /// First and second derivatives (x, y, xx, xy, yy) and S of neighbour k of particle i.
     #[inline(always)]
-    pub fn of(&self, i: usize, k: usize) -> [f64; COEFFICIENTS] {
-        let first = (i / WIDEST * self.neighbours + k) * COEFFICIENTS * WIDEST + i % WIDEST;
+    pub fn of(&self, i: usize, k: usize) -> [f64; C] {
+        let first = (i / WIDEST * self.neighbours + k) * C * WIDEST + i % WIDEST;
         std::array::from_fn(|c| self.value[first + c * WIDEST])
     }
 
     /// The derivatives of a field at particle i.
-    pub fn derivatives(&self, stencils: &Stencils, i: usize, value: &[f64]) -> [f64; COEFFICIENTS] {
-        let mut sum = [0.0; COEFFICIENTS];
+    pub fn derivatives<const D: usize>(&self, stencils: &Stencils<D>, i: usize, value: &[f64]) -> [f64; C] {
+        let mut sum = [0.0; C];
         for k in 0..self.neighbours {
             let (c, difference) = (self.of(i, k), value[stencils.neighbour(i, k)] - value[i]);
-            (0..COEFFICIENTS).for_each(|a| sum[a] += c[a] * difference);
+            (0..C).for_each(|a| sum[a] += c[a] * difference);
         }
         sum
     }
@@ -267,8 +313,15 @@ impl Coefficients {
     }
 }
 
+#[inline(always)]
+fn square_of<L: Lanes<Real = f64>, const D: usize>(s: &[L; D]) -> L {
+    let mut sum = s[0] * s[0];
+    (1..D).for_each(|d| sum += s[d] * s[d]);
+    sum
+}
+
 /// The same in all lanes; what a fit needs of WIDEST or fewer particles.
-struct Fit<L> {
+struct Fit<L, const Q: usize, const P: usize> {
     factor: [L; P],
     inverse_scale: L,
     /// sum_j W s^2.
@@ -279,12 +332,12 @@ struct Fit<L> {
 
 /// s of neighbour k of the particles from lane `l` of a block on, and its weight.
 #[inline(always)]
-fn offset<L: Lanes<Real = f64>>(
-    stencils: &Stencils,
-    position: &[Vec<f64>; 2],
+fn offset<L: Lanes<Real = f64>, const D: usize>(
+    stencils: &Stencils<D>,
+    position: &[Vec<f64>; D],
     (block, l, k): (usize, usize, usize),
     inverse_scale: L,
-) -> ([L; 2], L) {
+) -> ([L; D], L) {
     let place = (block * stencils.neighbours + k) * WIDEST + l;
     let i = block * WIDEST + l;
     let s = std::array::from_fn(|d| {
@@ -298,48 +351,55 @@ fn offset<L: Lanes<Real = f64>>(
 }
 
 #[inline(always)]
-fn fit<L: Lanes<Real = f64>>(stencils: &Stencils, position: &[Vec<f64>; 2], block: usize, l: usize) -> Fit<L> {
+fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
+    stencils: &Stencils<D>,
+    position: &[Vec<f64>; D],
+    block: usize,
+    l: usize,
+) -> Fit<L, Q, P> {
     let inverse_scale = L::splat(1.0) / L::load_part(&stencils.scale[block * WIDEST + l..]);
     let (mut factor, mut sum, mut square) = ([L::zero(); P], [L::zero(); Q], L::zero());
     for k in 0..stencils.neighbours {
         let (s, w) = offset(stencils, position, (block, l, k), inverse_scale);
-        let q = values::<L, 2, Q>(&s);
+        let q = values::<L, D, Q>(&s);
         accumulate(&mut factor, w, &q);
-        square = w.mul_add(s[0] * s[0] + s[1] * s[1], square);
+        square = w.mul_add(square_of(&s), square);
         for a in 0..Q {
             sum[a] = w.mul_add(q[a], sum[a]);
         }
     }
-    let least = L::splat(1e-12) * (factor[at(0, 0)] + factor[at(1, 1)]);
+    let mut trace = factor[at(0, 0)];
+    (1..D).for_each(|d| trace += factor[at(d, d)]);
+    let least = L::splat(1e-12) * trace;
     factorise::<L, Q, P>(&mut factor, least);
     Fit { mean: solve::<L, Q, P>(&factor, sum), factor, inverse_scale, square }
 }
 
-struct Forward<'a> {
-    stencils: &'a Stencils,
-    position: &'a [Vec<f64>; 2],
+struct Forward<'a, const D: usize, const Q: usize, const P: usize> {
+    stencils: &'a Stencils<D>,
+    position: &'a [Vec<f64>; D],
 }
 
-impl<'a> PartKernel<f64> for Forward<'a> {
+impl<'a, const D: usize, const Q: usize, const P: usize> PartKernel<f64> for Forward<'a, D, Q, P> {
     type Part = &'a mut [f64];
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
         for l in (0..WIDEST).step_by(L::COUNT) {
-            let Fit { factor, inverse_scale, square, mean } = fit::<L>(self.stencils, self.position, block, l);
+            let Fit { factor, inverse_scale, square, mean } = fit::<L, D, Q, P>(self.stencils, self.position, block, l);
             let second = inverse_scale * inverse_scale;
-            let strength = L::splat(4.0) * second / square;
+            let strength = L::splat(2.0 * D as f64) * second / square;
             for k in 0..self.stencils.neighbours {
                 let (s, w) = offset(self.stencils, self.position, (block, l, k), inverse_scale);
-                let q = values::<L, 2, Q>(&s);
+                let q = values::<L, D, Q>(&s);
                 let c = solve::<L, Q, P>(&factor, q);
-                for a in 0..COEFFICIENTS {
+                for a in 0..=Q {
                     let value = match a {
-                        LEFT => strength * w * (L::splat(1.0) - dot(&q, &mean)),
-                        0 | 1 => w * c[a] * inverse_scale,
+                        left if left == Q => strength * w * (L::splat(1.0) - dot(&q, &mean)),
+                        first if first < D => w * c[a] * inverse_scale,
                         _ => w * c[a] * second,
                     };
-                    let to = (k * COEFFICIENTS + a) * WIDEST + l;
+                    let to = (k * (Q + 1) + a) * WIDEST + l;
                     // SAFETY: COUNT lanes from l on are within the row of WIDEST.
                     unsafe { value.store(part[to..to + L::COUNT].as_mut_ptr()) };
                 }
@@ -348,23 +408,23 @@ impl<'a> PartKernel<f64> for Forward<'a> {
     }
 }
 
-struct Backward<'a> {
-    stencils: &'a Stencils,
-    position: &'a [Vec<f64>; 2],
+struct Backward<'a, const D: usize, const Q: usize, const P: usize, const C: usize> {
+    stencils: &'a Stencils<D>,
+    position: &'a [Vec<f64>; D],
     fields: &'a [&'a [f64]],
-    bar: &'a [Vec<[f64; COEFFICIENTS]>],
+    bar: &'a [Vec<[f64; C]>],
 }
 
-impl<'a> PartKernel<f64> for Backward<'a> {
+impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKernel<f64> for Backward<'a, D, Q, P, C> {
     type Part = &'a mut [f64];
 
     /// With lambda = M^-1 d_bar and e_j = f_j - f_i - d.q_j: q_bar = W sum_f (lambda e - d (lambda.q)), where S adds
-    /// -S_bar A sum_j W q to d_bar and -S_bar A W d to q_bar, A = 4 / (h^2 sum W s^2).
+    /// -S_bar A sum_j W q to d_bar and -S_bar A W d to q_bar, A = 2 D / (h^2 sum W s^2).
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
         let stencils = self.stencils;
         for l in (0..WIDEST).step_by(L::COUNT) {
-            let Fit { factor, inverse_scale, square, .. } = fit::<L>(stencils, self.position, block, l);
+            let Fit { factor, inverse_scale, square, .. } = fit::<L, D, Q, P>(stencils, self.position, block, l);
             let lane = |of: &dyn Fn(usize) -> f64| -> L {
                 let mut numbers = [0.0; WIDEST];
                 for (lane, number) in numbers[..L::COUNT].iter_mut().enumerate() {
@@ -374,11 +434,11 @@ impl<'a> PartKernel<f64> for Backward<'a> {
                 L::load_part(&numbers[..])
             };
             let second = inverse_scale * inverse_scale;
-            for to in (0..2 * stencils.neighbours).map(|k| k * WIDEST + l) {
+            for to in (0..D * stencils.neighbours).map(|k| k * WIDEST + l) {
                 part[to..to + L::COUNT].fill(0.0);
             }
             for (values_of, bar) in self.fields.iter().zip(self.bar) {
-                let left = lane(&|i| bar[i][LEFT]) * L::splat(4.0) * second / square;
+                let left = lane(&|i| bar[i][Q]) * L::splat(2.0 * D as f64) * second / square;
                 let own = lane(&|i| values_of[i]);
                 let difference = |k: usize| {
                     let place = (block * stencils.neighbours + k) * WIDEST + l;
@@ -391,7 +451,7 @@ impl<'a> PartKernel<f64> for Backward<'a> {
                 let (mut right, mut sum) = ([L::zero(); Q], [L::zero(); Q]);
                 for k in 0..stencils.neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = values::<L, 2, Q>(&s);
+                    let q = values::<L, D, Q>(&s);
                     let weighted = w * difference(k);
                     for a in 0..Q {
                         right[a] = weighted.mul_add(q[a], right[a]);
@@ -401,7 +461,7 @@ impl<'a> PartKernel<f64> for Backward<'a> {
                 let d = solve::<L, Q, P>(&factor, right);
                 let mut d_bar = [L::zero(); Q];
                 for (a, d_bar) in d_bar.iter_mut().enumerate() {
-                    let unit = if a < 2 { inverse_scale } else { second };
+                    let unit = if a < D { inverse_scale } else { second };
                     *d_bar = lane(&|i| bar[i][a]) * unit - left * sum[a];
                 }
                 let lambda = solve::<L, Q, P>(&factor, d_bar);
@@ -409,21 +469,21 @@ impl<'a> PartKernel<f64> for Backward<'a> {
                 let mut rest = L::zero();
                 for k in 0..stencils.neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = values::<L, 2, Q>(&s);
+                    let q = values::<L, D, Q>(&s);
                     rest = w.mul_add(difference(k) - dot(&d, &q), rest);
                 }
                 let square_bar = -(left * rest) / square;
                 for k in 0..stencils.neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = values::<L, 2, Q>(&s);
+                    let q = values::<L, D, Q>(&s);
                     let (error, along) = (difference(k) - dot(&d, &q), dot(&lambda, &q));
                     let mut q_bar = [L::zero(); Q];
                     for a in 0..Q {
                         q_bar[a] = w * (lambda[a] * error - d[a] * along - left * d[a]);
                     }
-                    let s_bar = pull_back::<L, 2, Q>(&s, &q_bar);
-                    for d in 0..2 {
-                        let to = (2 * k + d) * WIDEST + l;
+                    let s_bar = pull_back::<L, D, Q>(&s, &q_bar);
+                    for d in 0..D {
+                        let to = (D * k + d) * WIDEST + l;
                         let value = (s_bar[d] + L::splat(2.0) * square_bar * w * s[d]) * inverse_scale;
                         let sum = L::load_part(&part[to..to + L::COUNT]) + value;
                         // SAFETY: COUNT lanes from l on are within the row of WIDEST.
