@@ -61,6 +61,7 @@ mod slurm;
 mod stress;
 mod study;
 mod summary;
+mod space;
 mod surrogate;
 mod surrogate_design;
 mod surrogate_inverse;

@@ -98,6 +98,69 @@ impl BlockMatrix {
     }
 }
 
+impl BlockMatrix {
+    /// y = A x on some threads. Each row is summed by one of them, so the result is the same for any number.
+    pub fn times_on(&self, x: &[f64], threads: usize) -> Vec<f64> {
+        match self.size {
+            1 => self.rows_times::<1>(x, threads),
+            4 => self.rows_times::<4>(x, threads),
+            _ => self.times(x, false),
+        }
+    }
+
+    fn rows_times<const S: usize>(&self, x: &[f64], threads: usize) -> Vec<f64> {
+        let mut y = vec![0.0; x.len()];
+        let share = self.nodes().div_ceil(threads.max(1)).max(1);
+        let part = |first_row: usize, y: &mut [f64]| {
+            for (i, y) in y.chunks_exact_mut(S).enumerate() {
+                let mut sum = [0.0; S];
+                for e in self.first[first_row + i]..self.first[first_row + i + 1] {
+                    let (from, block) = (self.column[e] as usize * S, &self.values[e * S * S..(e + 1) * S * S]);
+                    for a in 0..S {
+                        for b in 0..S {
+                            sum[a] += block[a * S + b] * x[from + b];
+                        }
+                    }
+                }
+                y.copy_from_slice(&sum);
+            }
+        };
+        std::thread::scope(|scope| {
+            let mut parts = y.chunks_mut(share * S).enumerate();
+            let own = parts.next();
+            for (k, y) in parts {
+                scope.spawn(move || part(k * share, y));
+            }
+            if let Some((_, y)) = own {
+                part(0, y);
+            }
+        });
+        y
+    }
+
+    /// Becomes its transpose; the structure is symmetric.
+    pub fn transpose(&mut self) {
+        let s = self.size;
+        for i in 0..self.nodes() {
+            for e in self.first[i]..self.first[i + 1] {
+                let j = self.column[e] as usize;
+                if j < i {
+                    continue;
+                }
+                let other = self.entry(j, i as u32);
+                for a in 0..s {
+                    for b in 0..s {
+                        let (one, two) = (e * s * s + a * s + b, other * s * s + b * s + a);
+                        if one < two {
+                            self.values.swap(one, two);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
 /// A front's own nodes and the later ones that it touches, in the order of elimination.
 #[derive(Debug, Clone, Default)]
 struct Front {

@@ -17,7 +17,7 @@
 //!
 //! which vanishes for quadratic fields, is of fourth order for smooth ones, and sees a checkerboard.
 //!
-//! Tables of pairs are `[blocks, K, WIDEST]`, those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
+//! Tables of pairs are `[blocks, K, WIDEST]` (K of each block), those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
 use super::nearest::Region;
 use crate::numerics::lanes::{Lanes, WIDEST};
@@ -57,8 +57,10 @@ pub(super) fn weight_and_shift<const D: usize>(
 #[derive(Debug, Clone)]
 pub struct Stencils<const D: usize = 2> {
     pub particles: usize,
-    /// Number of neighbours of each particle, K.
+    /// The largest number of neighbours, K.
     pub neighbours: usize,
+    /// Rows of pairs before each block, `[blocks + 1]`.
+    first: Vec<usize>,
     pub list: Vec<u32>,
     /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`.
     shift: [Vec<f64>; D],
@@ -72,12 +74,6 @@ pub fn blocks(particles: usize) -> usize {
     particles.div_ceil(WIDEST)
 }
 
-/// Place of particle i and neighbour k in a table of pairs.
-#[inline(always)]
-pub fn pair(neighbours: usize, i: usize, k: usize) -> usize {
-    (i / WIDEST * neighbours + k) * WIDEST + i % WIDEST
-}
-
 /// Place of field `k` of `fields` of particle i in a table of particles.
 #[inline(always)]
 pub fn field(fields: usize, i: usize, k: usize) -> usize {
@@ -87,59 +83,83 @@ pub fn field(fields: usize, i: usize, k: usize) -> usize {
 impl<const D: usize> Stencils<D> {
     /// A matrix of zeros for equations of `size` fields at the particles, in which those of each contain its neighbours.
     pub fn matrix(&self, size: usize) -> BlockMatrix {
-        let neighbours = |i: usize| (0..self.neighbours).map(|k| self.neighbour(i, k) as u32).collect();
+        let neighbours = |i: usize| (0..self.count(i)).map(|k| self.neighbour(i, k) as u32).collect();
         BlockMatrix::of_lists(self.particles, size, neighbours)
     }
 
-    /// The stencils of particles at `places`, given the distance and number of those `near` each, nearest first.
+    /// The stencils of particles at `places`, of `count` neighbours each, given the distance and number of those `near` each, nearest
+    /// first.
     ///
     /// # Errors
-    /// A particle with fewer than `neighbours + 1` of them.
+    /// A particle with fewer than `count + 1` of them.
     pub fn new(
         plane: Region<D>,
         places: &[[f64; D]],
-        neighbours: usize,
+        count: impl Fn(usize) -> usize,
         near: &[Vec<(f64, u32)>],
     ) -> Result<Self, usize> {
-        let (n, rows) = (places.len(), blocks(places.len()));
-        let empty = vec![0.0; rows * neighbours * WIDEST];
+        let (n, all_blocks) = (places.len(), blocks(places.len()));
+        let mut first = vec![0];
+        for block in 0..all_blocks {
+            let own = (block * WIDEST..n.min((block + 1) * WIDEST)).map(&count).max();
+            first.push(first[block] + own.unwrap_or(0));
+        }
+        let empty = vec![0.0; first[all_blocks] * WIDEST];
         let mut all = Self {
             particles: n,
-            neighbours,
-            list: vec![0; rows * neighbours * WIDEST],
+            neighbours: (0..n).map(&count).max().unwrap_or(0),
+            list: vec![0; empty.len()],
+            first,
             shift: std::array::from_fn(|_| empty.clone()),
             weight: empty,
-            scale: vec![1.0; rows * WIDEST],
+            scale: vec![1.0; all_blocks * WIDEST],
         };
-        for i in 0..n {
-            let found = &near[i];
+        // Lanes behind the last particle repeat it, so that their numbers are finite.
+        for lane in 0..all_blocks * WIDEST {
+            let i = lane.min(n - 1);
+            let (found, neighbours) = (&near[i], count(i));
             if found.len() <= neighbours {
                 return Err(i);
             }
             let (reach, scale) = reach_and_scale(found[neighbours].0);
-            all.scale[i] = scale;
-            for (k, &(distance, j)) in found[..neighbours].iter().enumerate() {
-                let place = pair(neighbours, i, k);
+            all.scale[lane] = scale;
+            for k in 0..all.count(lane) {
+                let place = all.place(lane, k);
+                // Where others of the block have more neighbours, a particle is its own, with weight 0.
+                let (distance, j) = if k < neighbours { found[k] } else { (reach, i as u32) };
                 let (weight, shift) = weight_and_shift(plane, [places[i], places[j as usize]], distance, reach);
                 all.list[place] = j;
                 all.weight[place] = weight;
                 (0..D).for_each(|d| all.shift[d][place] = shift[d]);
             }
         }
-        // Lanes behind the last particle repeat it, so that their numbers are finite.
-        for i in n..rows * WIDEST {
-            all.scale[i] = all.scale[n - 1];
-            for k in 0..neighbours {
-                let (to, from) = (pair(neighbours, i, k), pair(neighbours, n - 1, k));
-                (all.list[to], all.weight[to]) = (all.list[from], all.weight[from]);
-                (0..D).for_each(|d| all.shift[d][to] = all.shift[d][from]);
-            }
-        }
         Ok(all)
     }
 
+    /// Number of neighbours of particle i, with those that fill up its block.
+    pub fn count(&self, i: usize) -> usize {
+        self.first[i / WIDEST + 1] - self.first[i / WIDEST]
+    }
+
+    /// Place of particle i and neighbour k in a table of pairs.
+    #[inline(always)]
+    fn place(&self, i: usize, k: usize) -> usize {
+        (self.first[i / WIDEST] + k) * WIDEST + i % WIDEST
+    }
+
+    /// A table of `width` numbers for each pair, cut into blocks.
+    fn parts<'a>(&self, mut table: &'a mut [f64], width: usize) -> Vec<&'a mut [f64]> {
+        let mut parts = vec![];
+        for block in 0..self.first.len() - 1 {
+            let (part, rest) = table.split_at_mut((self.first[block + 1] - self.first[block]) * width * WIDEST);
+            parts.push(part);
+            table = rest;
+        }
+        parts
+    }
+
     pub fn neighbour(&self, i: usize, k: usize) -> usize {
-        self.list[pair(self.neighbours, i, k)] as usize
+        self.list[self.place(i, k)] as usize
     }
 
     /// The scale h of a particle's fit.
@@ -149,7 +169,7 @@ impl<const D: usize> Stencils<D> {
 
     /// Neighbour, weight and constant shift of a pair.
     pub fn pair(&self, i: usize, k: usize) -> (usize, f64, [f64; D]) {
-        let place = pair(self.neighbours, i, k);
+        let place = self.place(i, k);
         (self.list[place] as usize, self.weight[place], std::array::from_fn(|d| self.shift[d][place]))
     }
 
@@ -159,10 +179,9 @@ impl<const D: usize> Stencils<D> {
         position: &[Vec<f64>; D],
     ) -> Coefficients<C> {
         let padded = self.padded(position);
-        let width = self.neighbours * C * WIDEST;
-        let mut value = vec![0.0; blocks(self.particles) * width];
-        run_parts(&Forward::<D, Q, P> { stencils: self, position: &padded }, value.chunks_exact_mut(width));
-        Coefficients { neighbours: self.neighbours, value }
+        let mut value = vec![0.0; self.list.len() * C];
+        run_parts(&Forward::<D, Q, P> { stencils: self, position: &padded }, self.parts(&mut value, C));
+        Coefficients { first: self.first.clone(), value }
     }
 
     fn pull_back_all<const Q: usize, const P: usize, const C: usize>(
@@ -173,15 +192,14 @@ impl<const D: usize> Stencils<D> {
         position_bar: &mut [Vec<f64>; D],
     ) {
         let padded = self.padded(position);
-        let width = D * self.neighbours * WIDEST;
-        let mut pairs = vec![0.0; blocks(self.particles) * width];
+        let mut pairs = vec![0.0; self.list.len() * D];
         let kernel = Backward::<D, Q, P, C> { stencils: self, position: &padded, fields, bar };
-        run_parts(&kernel, pairs.chunks_exact_mut(width));
+        run_parts(&kernel, self.parts(&mut pairs, D));
         for i in 0..self.particles {
-            for k in 0..self.neighbours {
+            for k in 0..self.count(i) {
                 let j = self.neighbour(i, k);
                 for d in 0..D {
-                    let r_bar = pairs[field(D * self.neighbours, i, D * k + d)];
+                    let r_bar = pairs[((self.first[i / WIDEST] + k) * D + d) * WIDEST + i % WIDEST];
                     position_bar[d][j] += r_bar;
                     position_bar[d][i] -= r_bar;
                 }
@@ -240,7 +258,7 @@ in_dimension!(3, COEFFICIENTS_3D);
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]
 pub struct Coefficients<const C: usize = COEFFICIENTS> {
-    neighbours: usize,
+    first: Vec<usize>,
     value: Vec<f64>,
 }
 
@@ -248,14 +266,14 @@ impl<const C: usize> Coefficients<C> {
     /// First and second derivatives (x, y, xx, xy, yy) and S of neighbour k of particle i.
     #[inline(always)]
     pub fn of(&self, i: usize, k: usize) -> [f64; C] {
-        let first = (i / WIDEST * self.neighbours + k) * C * WIDEST + i % WIDEST;
+        let first = (self.first[i / WIDEST] + k) * C * WIDEST + i % WIDEST;
         std::array::from_fn(|c| self.value[first + c * WIDEST])
     }
 
     /// The derivatives of a field at particle i.
     pub fn derivatives<const D: usize>(&self, stencils: &Stencils<D>, i: usize, value: &[f64]) -> [f64; C] {
         let mut sum = [0.0; C];
-        for k in 0..self.neighbours {
+        for k in 0..stencils.count(i) {
             let (c, difference) = (self.of(i, k), value[stencils.neighbour(i, k)] - value[i]);
             (0..C).for_each(|a| sum[a] += c[a] * difference);
         }
@@ -276,17 +294,17 @@ impl<'a> PartKernel<f64> for Slopes<'a> {
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
-        let neighbours = self.stencils.neighbours;
+        let first = self.stencils.first[block];
         for l in (0..WIDEST).step_by(L::COUNT) {
             for (f, field) in self.fields.iter().enumerate() {
                 let own = L::load_part(&field[block * WIDEST + l..]);
                 let mut sum = [L::zero(); 2];
-                for k in 0..neighbours {
-                    let place = (block * neighbours + k) * WIDEST + l;
+                for k in 0..self.stencils.first[block + 1] - first {
+                    let place = (first + k) * WIDEST + l;
                     // SAFETY: the tables have whole blocks, and the list names particles.
                     let other = unsafe { L::gather(field.as_ptr(), self.stencils.list.as_ptr().add(place)) };
                     for (d, sum) in sum.iter_mut().enumerate() {
-                        let from = ((block * neighbours + k) * COEFFICIENTS + d) * WIDEST + l;
+                        let from = ((first + k) * COEFFICIENTS + d) * WIDEST + l;
                         *sum = L::load_part(&self.coefficients.value[from..]).mul_add(other - own, *sum);
                     }
                 }
@@ -338,7 +356,7 @@ fn offset<L: Lanes<Real = f64>, const D: usize>(
     (block, l, k): (usize, usize, usize),
     inverse_scale: L,
 ) -> ([L; D], L) {
-    let place = (block * stencils.neighbours + k) * WIDEST + l;
+    let place = (stencils.first[block] + k) * WIDEST + l;
     let i = block * WIDEST + l;
     let s = std::array::from_fn(|d| {
         // SAFETY: the tables have whole blocks, and the list names particles.
@@ -359,7 +377,7 @@ fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
 ) -> Fit<L, Q, P> {
     let inverse_scale = L::splat(1.0) / L::load_part(&stencils.scale[block * WIDEST + l..]);
     let (mut factor, mut sum, mut square) = ([L::zero(); P], [L::zero(); Q], L::zero());
-    for k in 0..stencils.neighbours {
+    for k in 0..stencils.count(block * WIDEST) {
         let (s, w) = offset(stencils, position, (block, l, k), inverse_scale);
         let q = values::<L, D, Q>(&s);
         accumulate(&mut factor, w, &q);
@@ -389,7 +407,7 @@ impl<'a, const D: usize, const Q: usize, const P: usize> PartKernel<f64> for For
             let Fit { factor, inverse_scale, square, mean } = fit::<L, D, Q, P>(self.stencils, self.position, block, l);
             let second = inverse_scale * inverse_scale;
             let strength = L::splat(2.0 * D as f64) * second / square;
-            for k in 0..self.stencils.neighbours {
+            for k in 0..self.stencils.count(block * WIDEST) {
                 let (s, w) = offset(self.stencils, self.position, (block, l, k), inverse_scale);
                 let q = values::<L, D, Q>(&s);
                 let c = solve::<L, Q, P>(&factor, q);
@@ -423,6 +441,7 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
         let stencils = self.stencils;
+        let neighbours = stencils.count(block * WIDEST);
         for l in (0..WIDEST).step_by(L::COUNT) {
             let Fit { factor, inverse_scale, square, .. } = fit::<L, D, Q, P>(stencils, self.position, block, l);
             let lane = |of: &dyn Fn(usize) -> f64| -> L {
@@ -434,14 +453,14 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                 L::load_part(&numbers[..])
             };
             let second = inverse_scale * inverse_scale;
-            for to in (0..D * stencils.neighbours).map(|k| k * WIDEST + l) {
+            for to in (0..D * neighbours).map(|k| k * WIDEST + l) {
                 part[to..to + L::COUNT].fill(0.0);
             }
             for (values_of, bar) in self.fields.iter().zip(self.bar) {
                 let left = lane(&|i| bar[i][Q]) * L::splat(2.0 * D as f64) * second / square;
                 let own = lane(&|i| values_of[i]);
                 let difference = |k: usize| {
-                    let place = (block * stencils.neighbours + k) * WIDEST + l;
+                    let place = (stencils.first[block] + k) * WIDEST + l;
                     let mut numbers = [0.0; WIDEST];
                     for lane in 0..L::COUNT {
                         numbers[lane] = values_of[stencils.list[place + lane] as usize];
@@ -449,7 +468,7 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                     L::load_part(&numbers[..]) - own
                 };
                 let (mut right, mut sum) = ([L::zero(); Q], [L::zero(); Q]);
-                for k in 0..stencils.neighbours {
+                for k in 0..neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
                     let q = values::<L, D, Q>(&s);
                     let weighted = w * difference(k);
@@ -467,13 +486,13 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                 let lambda = solve::<L, Q, P>(&factor, d_bar);
                 // The cotangent of sum W s^2.
                 let mut rest = L::zero();
-                for k in 0..stencils.neighbours {
+                for k in 0..neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
                     let q = values::<L, D, Q>(&s);
                     rest = w.mul_add(difference(k) - dot(&d, &q), rest);
                 }
                 let square_bar = -(left * rest) / square;
-                for k in 0..stencils.neighbours {
+                for k in 0..neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
                     let q = values::<L, D, Q>(&s);
                     let (error, along) = (difference(k) - dot(&d, &q), dot(&lambda, &q));

@@ -19,6 +19,7 @@ pub mod outline;
 pub mod particles;
 pub mod placing;
 pub mod problem;
+pub mod space;
 pub mod steady;
 pub mod unsteady;
 pub mod unsteady_adjoint;

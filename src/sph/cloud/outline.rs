@@ -41,7 +41,7 @@ pub struct Dual {
 }
 
 impl Dual {
-    fn new(value: f64, slope: f64) -> Self {
+    pub fn new(value: f64, slope: f64) -> Self {
         Self { value, slope }
     }
 }

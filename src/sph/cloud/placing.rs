@@ -9,7 +9,7 @@
 //!   x_i += h_i / 4 sum_j (1 - r / R)^2 r_ij / r,   R = 0.8 (h_i + h_j).
 //! ```
 
-use super::nearest::{Cells, Nearest, Plane};
+use super::nearest::{Cells, Nearest, Plane, Region};
 use super::outline::{area, area_within, is_inside, OnOutline, Outline};
 
 /// What the cloud is made of: outlines of bodies and walls in a box.
@@ -616,7 +616,7 @@ impl Ground {
 }
 
 /// Lengths of the steps between samples, the last one to the first.
-fn lengths(points: &[OnOutline<f64>]) -> Vec<f64> {
+pub(super) fn lengths(points: &[OnOutline<f64>]) -> Vec<f64> {
     let n = points.len();
     let step = |k: usize| {
         let (a, b) = (points[k].place, points[(k + 1) % n].place);
@@ -662,7 +662,7 @@ fn stretches(free: &[bool]) -> Vec<(usize, usize)> {
 
 /// Points along a line whose samples are `lengths` apart, each about `spacing` from the next: parameter, its change per
 /// point, and the spacing there. `period`: of the parameter, on a closed line.
-fn spread(
+pub(super) fn spread(
     parameters: &[f64],
     lengths: &[f64],
     spacing: &[f64],
@@ -699,25 +699,26 @@ fn spread(
 }
 
 /// Places that are added one by one, by cells.
-struct Growing {
-    cells: Cells,
-    members: Vec<Vec<[f64; 2]>>,
+pub(super) struct Growing<const D: usize = 2> {
+    cells: Cells<D>,
+    members: Vec<Vec<[f64; D]>>,
 }
 
-impl Growing {
-    fn new(plane: Plane, width: f64) -> Self {
+impl<const D: usize> Growing<D> {
+    pub fn new(plane: Region<D>, width: f64) -> Self {
         let cells = Cells::new(plane, width);
         Self { cells, members: vec![vec![]; cells.count()] }
     }
 
-    fn add(&mut self, p: [f64; 2]) {
+    pub fn add(&mut self, p: [f64; D]) {
         self.members[self.cells.of(p)].push(p);
     }
 
     /// Whether a place is within a distance of at most the cells' width.
-    fn has_within(&self, p: [f64; 2], distance: f64) -> bool {
-        let [i, j] = self.cells.index(p);
-        let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| [i + a, j + b]));
+    pub fn has_within(&self, p: [f64; D], distance: f64) -> bool {
+        let centre = self.cells.index(p);
+        let step = |k: usize, d: usize| (k / 3usize.pow(d as u32) % 3) as i64 - 1;
+        let around = (0..3usize.pow(D as u32)).map(|k| std::array::from_fn(|d| centre[d] + step(k, d)));
         let members = around.filter_map(|index| self.cells.at(index)).flat_map(|cell| &self.members[cell]);
         members.into_iter().any(|q| self.cells.plane.distance(p, *q) < distance)
     }

@@ -1,0 +1,274 @@
+//! The steady equations at fixed particles in space: residuals and cotangents.
+//!
+//! As in the plane ([`super::super::equations`]), with u, v, w, p and T at every particle:
+//!
+//! ```text
+//!   momentum      u . grad u + grad p - nu lap u - f = 0        inside; u given on walls
+//!   continuity    div u - tau S p + lambda = 0                  everywhere but where p is given
+//!   heat          u . grad T - alpha lap T = 0                  inside; T or the flux given on walls.
+//! ```
+
+use super::super::equations::Warmth;
+use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use crate::sph::consistent::stencil::quadratic;
+
+/// Index of the pressure and of the temperature among the fields.
+pub const PRESSURE: usize = 3;
+pub const TEMPERATURE: usize = 4;
+/// Unknowns of the flow at a particle.
+pub const FLOW: usize = 4;
+/// Weight of S T beside the derivative across a wall, in scales of the fit.
+const SMOOTHING: f64 = 1.0;
+
+/// The velocity at a point of the boundary.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Motion {
+    Given([f64; 3]),
+    /// No flow along direction d, and no derivative along it of the other components.
+    Symmetry(usize),
+    /// No derivative along direction d, and p = 0.
+    Outflow(usize),
+}
+
+/// What holds at a point of the boundary.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Condition {
+    pub motion: Motion,
+    pub warmth: Warmth,
+    /// Unit normal into the fluid.
+    pub normal: [f64; 3],
+}
+
+/// u, v, w, p, T of all particles, and the two numbers of the whole flow.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    pub fields: [Vec<f64>; 5],
+    /// The rest of continuity, and the acceleration along x that a drive adds.
+    pub lambda: f64,
+    pub drive: f64,
+}
+
+impl State {
+    pub fn at_rest(particles: usize) -> Self {
+        Self { fields: std::array::from_fn(|_| vec![0.0; particles]), lambda: 0.0, drive: 0.0 }
+    }
+
+    pub fn velocity(&self, i: usize) -> [f64; 3] {
+        std::array::from_fn(|d| self.fields[d][i])
+    }
+}
+
+/// Derivatives of u, v, w, p, T at all particles.
+#[derive(Debug, Clone)]
+pub struct Derivatives(pub [Vec<[f64; C]>; 5]);
+
+/// The materials, forces and conditions of a flow at fixed particles.
+#[derive(Debug, Clone)]
+pub struct Equations {
+    pub viscosity: f64,
+    pub diffusivity: Option<f64>,
+    pub force: [f64; 3],
+    /// tau of each particle.
+    pub damping: Vec<f64>,
+    pub inside: usize,
+    pub conditions: Vec<Condition>,
+    pub stencils: Stencils<3>,
+}
+
+/// The sum of the second derivatives.
+pub(super) fn laplacian(d: &[f64; C]) -> f64 {
+    (0..3).map(|a| d[quadratic(3, a, a)]).sum()
+}
+
+pub(super) fn dot(a: [f64; 3], b: &[f64; C]) -> f64 {
+    (0..3).map(|d| a[d] * b[d]).sum()
+}
+
+impl Equations {
+    pub fn particles(&self) -> usize {
+        self.stencils.particles
+    }
+
+    pub fn smoothing(&self, i: usize) -> f64 {
+        SMOOTHING * self.stencils.scale(i)
+    }
+
+    /// Whether a pressure is given somewhere; otherwise lambda is unknown, and the mean of p is 0.
+    pub fn gives_pressure(&self) -> bool {
+        self.conditions.iter().any(|condition| matches!(condition.motion, Motion::Outflow(_)))
+    }
+
+    pub(super) fn condition(&self, i: usize) -> Option<&Condition> {
+        i.checked_sub(self.inside).map(|k| &self.conditions[k])
+    }
+
+    pub fn derivatives(&self, operators: &Coefficients<C>, state: &State) -> Derivatives {
+        let of = |f: usize| -> Vec<[f64; C]> {
+            match f {
+                TEMPERATURE if self.diffusivity.is_none() => vec![[0.0; C]; self.particles()],
+                _ => (0..self.particles())
+                    .map(|i| operators.derivatives(&self.stencils, i, &state.fields[f]))
+                    .collect(),
+            }
+        };
+        Derivatives(std::array::from_fn(of))
+    }
+
+    /// The acceleration that drives the fluid.
+    pub fn push(&self, state: &State, e: usize) -> f64 {
+        self.force[e] + if e == 0 { state.drive } else { 0.0 }
+    }
+
+    /// Residuals of momentum and continuity, `[N, 4]`.
+    pub fn flow_residual(&self, state: &State, d: &Derivatives) -> Vec<f64> {
+        let mut residual = vec![0.0; FLOW * self.particles()];
+        for (i, row) in residual.chunks_exact_mut(FLOW).enumerate() {
+            let (u, dp) = (state.velocity(i), &d.0[PRESSURE][i]);
+            let divergence: f64 = (0..3).map(|e| d.0[e][i][e]).sum();
+            row[PRESSURE] = divergence - self.damping[i] * dp[LEFT] + state.lambda;
+            for e in 0..3 {
+                row[e] = match self.condition(i).map(|condition| condition.motion) {
+                    None => dot(u, &d.0[e][i]) + dp[e] - self.viscosity * laplacian(&d.0[e][i]) - self.push(state, e),
+                    Some(Motion::Given(given)) => u[e] - given[e],
+                    Some(Motion::Symmetry(along)) if along == e => u[e],
+                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => d.0[e][i][along],
+                };
+            }
+            if let Some(Condition { motion: Motion::Outflow(_), .. }) = self.condition(i) {
+                row[PRESSURE] = state.fields[PRESSURE][i];
+            }
+        }
+        residual
+    }
+
+    /// Residual of the heat, `[N]`.
+    pub fn heat_residual(&self, state: &State, d: &Derivatives) -> Vec<f64> {
+        let alpha = self.diffusivity.unwrap_or(0.0);
+        let of = |i: usize| {
+            let (t, dt) = (state.fields[TEMPERATURE][i], &d.0[TEMPERATURE][i]);
+            match self.condition(i) {
+                None => dot(state.velocity(i), dt) - alpha * laplacian(dt),
+                Some(Condition { warmth: Warmth::Given(given), .. }) => t - given,
+                Some(Condition { warmth: Warmth::Flux(flux), normal, .. }) => {
+                    alpha * (dot(*normal, dt) + self.smoothing(i) * dt[LEFT]) + flux
+                }
+            }
+        };
+        (0..self.particles()).map(of).collect()
+    }
+
+    /// The cotangents of derivatives and boundary, given those of the residuals: `flow` `[N, 4]`, `heat` `[N]`, added to `bar`.
+    pub fn pull_back(&self, state: &State, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
+        for i in 0..self.particles() {
+            let (u, row) = (state.velocity(i), &flow[FLOW * i..FLOW * (i + 1)]);
+            let motion = self.condition(i).map(|condition| condition.motion);
+            if !matches!(motion, Some(Motion::Outflow(_))) {
+                (0..3).for_each(|e| bar.derivatives.0[e][i][e] += row[PRESSURE]);
+                bar.derivatives.0[PRESSURE][i][LEFT] -= self.damping[i] * row[PRESSURE];
+            }
+            for e in 0..3 {
+                match motion {
+                    None => {
+                        let to = &mut bar.derivatives.0[e][i];
+                        (0..3).for_each(|along| to[along] += u[along] * row[e]);
+                        (0..3).for_each(|a| to[quadratic(3, a, a)] -= self.viscosity * row[e]);
+                        bar.derivatives.0[PRESSURE][i][e] += row[e];
+                    }
+                    Some(Motion::Given(_)) => bar.boundary[i - self.inside].velocity[e] -= row[e],
+                    Some(Motion::Symmetry(along)) if along == e => {}
+                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
+                        bar.derivatives.0[e][i][along] += row[e];
+                    }
+                }
+            }
+            let (Some(heat), Some(alpha)) = (heat, self.diffusivity) else { continue };
+            let to = &mut bar.derivatives.0[TEMPERATURE][i];
+            match self.condition(i) {
+                None => {
+                    (0..3).for_each(|along| to[along] += u[along] * heat[i]);
+                    (0..3).for_each(|a| to[quadratic(3, a, a)] -= alpha * heat[i]);
+                }
+                Some(Condition { warmth: Warmth::Given(_), .. }) => {
+                    bar.boundary[i - self.inside].temperature -= heat[i];
+                }
+                Some(Condition { normal, .. }) => {
+                    let of_boundary = &mut bar.boundary[i - self.inside];
+                    for e in 0..3 {
+                        to[e] += alpha * normal[e] * heat[i];
+                        of_boundary.normal[e] += alpha * d.0[TEMPERATURE][i][e] * heat[i];
+                    }
+                    to[LEFT] += alpha * self.smoothing(i) * heat[i];
+                    of_boundary.temperature += heat[i];
+                }
+            }
+        }
+    }
+
+    /// d(heat residual)/d(u, v, w), transposed, at particle i.
+    pub fn heat_by_velocity(&self, d: &Derivatives, heat: &[f64], i: usize) -> [f64; 3] {
+        match i < self.inside {
+            true => std::array::from_fn(|e| heat[i] * d.0[TEMPERATURE][i][e]),
+            false => [0.0; 3],
+        }
+    }
+
+    /// The cotangents of the fields, given those of their derivatives and of themselves.
+    pub fn by_fields(&self, operators: &Coefficients<C>, bar: &Bar) -> [Vec<f64>; 5] {
+        let mut fields = bar.fields.clone();
+        for (f, to) in fields.iter_mut().enumerate() {
+            for (i, bar) in bar.derivatives.0[f].iter().enumerate().filter(|(_, bar)| bar.iter().any(|&x| x != 0.0)) {
+                for k in 0..self.stencils.count(i) {
+                    let c = operators.of(i, k);
+                    let sum: f64 = c.iter().zip(bar).map(|(c, bar)| c * bar).sum();
+                    to[self.stencils.neighbour(i, k)] += sum;
+                    to[i] -= sum;
+                }
+            }
+        }
+        fields
+    }
+
+    /// The cotangents of the positions, given those of the derivatives.
+    pub fn by_positions(&self, position: &[Vec<f64>; 3], state: &State, bar: &Bar) -> [Vec<f64>; 3] {
+        let mut found = bar.position.clone();
+        let count = if self.diffusivity.is_some() { 5 } else { 4 };
+        let fields: Vec<&[f64]> = state.fields[..count].iter().map(Vec::as_slice).collect();
+        self.stencils.pull_back(position, &fields, &bar.derivatives.0[..count], &mut found);
+        found
+    }
+}
+
+/// Cotangents of a point of the boundary: of its given velocity, its given temperature or flux, its unit normal, and of normal times
+/// area.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BoundaryBar {
+    pub velocity: [f64; 3],
+    pub temperature: f64,
+    pub normal: [f64; 3],
+    pub area: [f64; 3],
+}
+
+/// Cotangents of all that depends on the shape, and of the state.
+#[derive(Debug, Clone)]
+pub struct Bar {
+    pub derivatives: Derivatives,
+    pub boundary: Vec<BoundaryBar>,
+    pub position: [Vec<f64>; 3],
+    pub fields: [Vec<f64>; 5],
+    pub drive: f64,
+    /// Of the volume of the fluid.
+    pub volume: f64,
+}
+
+impl Bar {
+    pub fn new(particles: usize, boundary: usize) -> Self {
+        Self {
+            derivatives: Derivatives(std::array::from_fn(|_| vec![[0.0; C]; particles])),
+            boundary: vec![BoundaryBar::default(); boundary],
+            position: std::array::from_fn(|_| vec![0.0; particles]),
+            fields: std::array::from_fn(|_| vec![0.0; particles]),
+            drive: 0.0,
+            volume: 0.0,
+        }
+    }
+}

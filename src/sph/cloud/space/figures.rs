@@ -1,0 +1,365 @@
+//! Figures of a steady flow in space: flow rate, and force and heat of shapes.
+//!
+//! As in the plane ([`super::super::figures`]): sums of traction and heat flux over a shape's points are its *surface* figures, and what
+//! the rest of the boundary and the driving force leave for the shapes are those by *balance*, which are reported and differentiated.
+//! The difference is shared among the shapes by their areas.
+
+use super::super::equations::Warmth;
+use super::super::figures::Figure;
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
+use super::super::nearest::Nearest;
+use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
+use super::particles::{Cloud, Shaped};
+use super::steady::FlowRate;
+use crate::numerics::sparse_lu::dot as product;
+use crate::sph::consistent::stencil::{monomials, quadratic};
+
+/// A place of a cross-section: nearest particle, position and weight.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    particle: usize,
+    place: [f64; 3],
+    weight: f64,
+}
+
+/// What figures need beside the state.
+#[derive(Debug)]
+pub struct Measures {
+    section: Vec<Sample>,
+    probes: Vec<Sample>,
+    /// Indices of boundary points by shape.
+    points: Vec<Vec<usize>>,
+    /// Parts of the sides of the box: boundary point, and normal into the fluid times area.
+    rest: Vec<(usize, [f64; 3])>,
+    /// Share of each shape in what balance and surface differ by.
+    share: Vec<f64>,
+    inside: usize,
+    size: [f64; 3],
+    periodic_x: bool,
+}
+
+/// State and derivatives at one shape.
+pub struct At<'a> {
+    pub equations: &'a Equations,
+    pub shaped: &'a Shaped,
+    pub state: &'a State,
+    pub d: &'a Derivatives,
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|d| a[d] * b[d]).sum()
+}
+
+const Q: usize = monomials(3);
+
+impl Measures {
+    /// `probes`: points at which fields are figures.
+    pub fn new(cloud: &Cloud, probes: &[[f64; 3]]) -> Self {
+        let (region, places) = (cloud.ground.region, &cloud.places);
+        let shapes = cloud.ground.surfaces.len();
+        let mut points = vec![vec![]; shapes];
+        for (k, point) in places.boundary.iter().enumerate() {
+            if let Some((shape, _)) = point.on {
+                points[shape].push(k);
+            }
+        }
+        let tile = |tile: &super::placing::Tile| {
+            let mut area = [0.0; 3];
+            area[tile.side / 2] = if tile.side % 2 == 0 { tile.area } else { -tile.area };
+            (tile.point, area)
+        };
+        let rest = places.tiles.iter().map(tile).collect();
+        let numbers = cloud.numbers();
+        let area = |shape: usize| -> f64 {
+            let surface = &cloud.ground.surfaces[shape];
+            let of = |k: &usize| {
+                let on = places.boundary[*k].on.map(|(_, spot)| surface.at(&spot, &numbers[shape]).area);
+                on.map_or(0.0, |area| dot(area, area).sqrt())
+            };
+            points[shape].iter().map(of).sum()
+        };
+        let areas: Vec<f64> = (0..shapes).map(area).collect();
+        let total: f64 = areas.iter().sum();
+        let share = areas.iter().map(|area| area / total).collect();
+        let near = Nearest::new(region, cloud.ground.dx, &places.place);
+        let sample = |p: [f64; 3], weight: f64| {
+            let (_, particle) = near.one(p, 3.0 * cloud.ground.dx)?;
+            let own = places.place[particle];
+            let r = region.between(own, p);
+            Some(Sample { particle, place: std::array::from_fn(|d| own[d] + r[d]), weight })
+        };
+        let cells = cloud.ground.cells();
+        let step: [f64; 3] = std::array::from_fn(|d| region.size[d] / cells[d] as f64);
+        let distance = |x: f64| {
+            // Columns across the stream are met at several heights.
+            let of = |k: usize| {
+                let p = |a: usize, b: usize| [x, region.size[1] * (a as f64 + 0.5) / 8.0, region.size[2] * (b as f64 + 0.5) / 8.0];
+                cloud.ground.distance(p(k / 8, k % 8), None)
+            };
+            let ends = if region.periodic[0] { f64::INFINITY } else { x.min(region.size[0] - x) };
+            (0..64).map(of).fold(ends, f64::min)
+        };
+        let columns = (0..cells[0]).map(|k| k as f64 * step[0]);
+        let at = columns
+            .map(|x| (x, distance(x)))
+            .fold((0.0, f64::MIN), |best, one| if one.1 > best.1 + 1e-9 { one } else { best })
+            .0;
+        let mut section = vec![];
+        // Gauss's two points along each edge of a cell.
+        let gauss = |k: usize, d: usize| step[d] * ((k / 2) as f64 + 0.5 + (k as f64 % 2.0 - 0.5) / 3f64.sqrt());
+        for k in 0..4 * cells[1] * cells[2] {
+            let p = [at, gauss(k / (2 * cells[2]), 1), gauss(k % (2 * cells[2]), 2)];
+            if cloud.ground.distance(p, None) > 0.0 {
+                section.extend(sample(p, 0.25 * step[1] * step[2]));
+            }
+        }
+        let probes =
+            probes.iter().map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 })).collect();
+        let (inside, size, periodic_x) = (places.inside, region.size, region.periodic[0]);
+        Self { section, probes, points, rest, share, inside, size, periodic_x }
+    }
+
+    /// The Taylor polynomial's monomials from a sample's particle to its place.
+    fn monomials(sample: &Sample, position: &[Vec<f64>; 3]) -> ([f64; 3], [f64; Q]) {
+        let s: [f64; 3] = std::array::from_fn(|d| sample.place[d] - position[d][sample.particle]);
+        let mut q = [0.0; Q];
+        for a in 0..3 {
+            q[a] = s[a];
+            (a..3).for_each(|b| q[quadratic(3, a, b)] = if a == b { 0.5 * s[a] * s[a] } else { s[a] * s[b] });
+        }
+        (s, q)
+    }
+
+    fn sampled(sample: &Sample, at: &At<'_>, field: usize) -> f64 {
+        let (_, q) = Self::monomials(sample, &at.shaped.position);
+        at.state.fields[field][sample.particle] + product(&q, &at.d.0[field][sample.particle][..Q])
+    }
+
+    fn sampled_back(sample: &Sample, at: &At<'_>, field: usize, weight: f64, bar: &mut Bar) {
+        let i = sample.particle;
+        let (s, q) = Self::monomials(sample, &at.shaped.position);
+        bar.fields[field][i] += weight;
+        (0..Q).for_each(|a| bar.derivatives.0[field][i][a] += weight * q[a]);
+        let d = &at.d.0[field][i];
+        for a in 0..3 {
+            let by_place = d[a] + (0..3).map(|b| d[quadratic(3, a.min(b), a.max(b))] * s[b]).sum::<f64>();
+            bar.position[a][i] -= weight * by_place;
+        }
+    }
+
+    /// The traction times area at a point of the boundary, less the momentum that the fluid carries in, along e.
+    fn push(&self, at: &At<'_>, k: usize, a: [f64; 3], e: usize) -> f64 {
+        let (i, nu) = (self.inside + k, at.equations.viscosity);
+        let u = at.state.velocity(i);
+        let viscous: f64 = (0..3).map(|b| nu * (at.d.0[e][i][b] + at.d.0[b][i][e]) * a[b]).sum();
+        viscous - at.state.fields[PRESSURE][i] * a[e] - u[e] * dot(u, a)
+    }
+
+    /// Adds the cotangents of [`Self::push`] times `weight`; those of the area, which only shapes change, are returned.
+    fn push_back(&self, at: &At<'_>, k: usize, a: [f64; 3], e: usize, weight: f64, bar: &mut Bar) -> [f64; 3] {
+        let (i, nu) = (self.inside + k, at.equations.viscosity);
+        let (u, p) = (at.state.velocity(i), at.state.fields[PRESSURE][i]);
+        let mut area = [0.0; 3];
+        for b in 0..3 {
+            area[b] = weight * (nu * (at.d.0[e][i][b] + at.d.0[b][i][e]) - u[e] * u[b]);
+            bar.derivatives.0[e][i][b] += weight * nu * a[b];
+            bar.derivatives.0[b][i][e] += weight * nu * a[b];
+            bar.fields[b][i] -= weight * u[e] * a[b];
+        }
+        area[e] -= weight * p;
+        bar.fields[PRESSURE][i] -= weight * a[e];
+        bar.fields[e][i] -= weight * dot(u, a);
+        area
+    }
+
+    /// The heat that enters at a point of the boundary, by conduction and with the fluid.
+    fn warmth(&self, at: &At<'_>, k: usize, a: [f64; 3]) -> f64 {
+        let (i, alpha) = (self.inside + k, at.equations.diffusivity.unwrap_or(0.0));
+        let slope: [f64; 3] = std::array::from_fn(|b| at.d.0[TEMPERATURE][i][b]);
+        at.state.fields[TEMPERATURE][i] * dot(at.state.velocity(i), a) - alpha * dot(slope, a)
+    }
+
+    fn warmth_back(&self, at: &At<'_>, k: usize, a: [f64; 3], weight: f64, bar: &mut Bar) -> [f64; 3] {
+        let (i, alpha) = (self.inside + k, at.equations.diffusivity.unwrap_or(0.0));
+        let (u, t) = (at.state.velocity(i), at.state.fields[TEMPERATURE][i]);
+        bar.fields[TEMPERATURE][i] += weight * dot(u, a);
+        let mut area = [0.0; 3];
+        for b in 0..3 {
+            bar.fields[b][i] += weight * t * a[b];
+            bar.derivatives.0[TEMPERATURE][i][b] -= weight * alpha * a[b];
+            area[b] = weight * (t * u[b] - alpha * at.d.0[TEMPERATURE][i][b]);
+        }
+        area
+    }
+
+    /// A shape's force along e by its surface alone.
+    pub fn surface_force(&self, at: &At<'_>, shape: usize, e: usize) -> f64 {
+        self.points[shape].iter().map(|&k| self.push(at, k, at.shaped.area[k], e)).sum()
+    }
+
+    /// A shape's heat by its surface alone.
+    pub fn surface_heat(&self, at: &At<'_>, shape: usize) -> f64 {
+        self.points[shape].iter().map(|&k| self.warmth(at, k, at.shaped.area[k])).sum()
+    }
+
+    /// The sum of the forces on all shapes along e, by balance.
+    pub fn balanced_force(&self, at: &At<'_>, e: usize) -> f64 {
+        let rest: f64 = self.rest.iter().map(|&(k, area)| self.push(at, k, area, e)).sum();
+        at.equations.push(at.state, e) * at.shaped.volume - rest
+    }
+
+    /// The sum of the heat of all shapes, by balance.
+    pub fn balanced_heat(&self, at: &At<'_>) -> f64 {
+        -self.rest.iter().map(|&(k, area)| self.warmth(at, k, area)).sum::<f64>()
+    }
+
+    /// Whether balance tells the heat of shapes: the sides let heat through.
+    fn balances_heat(&self, at: &At<'_>) -> bool {
+        self.rest.iter().any(|&(k, _)| {
+            let Condition { motion, warmth, .. } = at.shaped.conditions[k];
+            matches!(motion, Motion::Outflow(_)) || !matches!(warmth, Warmth::Flux(0.0))
+        })
+    }
+
+    /// The volume of the region in the direction of the stream: area of a cross-section times length over length.
+    fn length(&self) -> f64 {
+        self.size[0]
+    }
+
+    /// 0 for a point where fluid enters, 1 where it leaves; none on walls.
+    fn end_of(at: &At<'_>, k: usize, a: [f64; 3]) -> Option<usize> {
+        match at.shaped.conditions[k].motion {
+            Motion::Outflow(_) => Some(1),
+            Motion::Given(u) => {
+                let through = dot(u, a);
+                (through.abs() > 1e-12 * dot(a, a).sqrt()).then_some(if through > 0.0 { 0 } else { 1 })
+            }
+            Motion::Symmetry(_) => None,
+        }
+    }
+
+    /// Mean pressures where fluid enters and leaves, as points with weights.
+    fn ends(&self, at: &At<'_>) -> Vec<(usize, f64)> {
+        let found: Vec<(usize, usize, f64)> = self
+            .rest
+            .iter()
+            .filter_map(|&(k, a)| Some((k, Self::end_of(at, k, a)?, dot(a, a).sqrt())))
+            .collect();
+        let total = |end: usize| found.iter().filter(|one| one.1 == end).map(|one| one.2).sum::<f64>();
+        let totals = [total(0), total(1)];
+        found.iter().map(|&(k, end, area)| (k, [1.0, -1.0][end] * area / totals[end])).collect()
+    }
+
+    pub fn value(&self, figure: Figure, at: &At<'_>) -> f64 {
+        let shapes = 0..self.share.len();
+        match figure {
+            Figure::FlowRate => self.section.iter().map(|s| s.weight * Self::sampled(s, at, 0)).sum(),
+            Figure::HeatOutflow => self
+                .section
+                .iter()
+                .map(|s| s.weight * Self::sampled(s, at, 0) * Self::sampled(s, at, TEMPERATURE))
+                .sum(),
+            Figure::Force { shape, along } => {
+                let all: f64 = shapes.map(|body| self.surface_force(at, body, along)).sum();
+                self.surface_force(at, shape, along) + self.share[shape] * (self.balanced_force(at, along) - all)
+            }
+            Figure::Heat { shape } => {
+                let own = self.surface_heat(at, shape);
+                if !self.balances_heat(at) {
+                    return own;
+                }
+                let all: f64 = shapes.map(|body| self.surface_heat(at, body)).sum();
+                own + self.share[shape] * (self.balanced_heat(at) - all)
+            }
+            Figure::Probe { field, probe } => Self::sampled(&self.probes[probe], at, field),
+            Figure::PressureDrop if self.periodic_x => at.equations.push(at.state, 0) * self.length(),
+            Figure::PressureDrop => {
+                self.ends(at).iter().map(|(k, weight)| weight * at.state.fields[PRESSURE][self.inside + k]).sum()
+            }
+            // Of these there are none in space, see `config`.
+            Figure::Torque { .. } | Figure::Dissipation => f64::NAN,
+        }
+    }
+
+    /// Adds the cotangents of a figure times `weight`.
+    pub fn pull_back(&self, figure: Figure, at: &At<'_>, weight: f64, bar: &mut Bar) {
+        let shapes = 0..self.share.len();
+        match figure {
+            Figure::FlowRate => {
+                self.section.iter().for_each(|s| Self::sampled_back(s, at, 0, weight * s.weight, bar));
+            }
+            Figure::HeatOutflow => {
+                for s in &self.section {
+                    let (u, t) = (Self::sampled(s, at, 0), Self::sampled(s, at, TEMPERATURE));
+                    Self::sampled_back(s, at, 0, weight * s.weight * t, bar);
+                    Self::sampled_back(s, at, TEMPERATURE, weight * s.weight * u, bar);
+                }
+            }
+            Figure::Force { shape, along } => {
+                let of_body = |body: usize, weight: f64, bar: &mut Bar| {
+                    for &k in &self.points[body] {
+                        let area = self.push_back(at, k, at.shaped.area[k], along, weight, bar);
+                        (0..3).for_each(|d| bar.boundary[k].area[d] += area[d]);
+                    }
+                };
+                of_body(shape, weight, bar);
+                let share = weight * self.share[shape];
+                shapes.for_each(|body| of_body(body, -share, bar));
+                for &(k, area) in &self.rest {
+                    self.push_back(at, k, area, along, -share, bar);
+                }
+                bar.volume += share * at.equations.push(at.state, along);
+                if along == 0 {
+                    bar.drive += share * at.shaped.volume;
+                }
+            }
+            Figure::Heat { shape } => {
+                let of_body = |body: usize, weight: f64, bar: &mut Bar| {
+                    for &k in &self.points[body] {
+                        let area = self.warmth_back(at, k, at.shaped.area[k], weight, bar);
+                        (0..3).for_each(|d| bar.boundary[k].area[d] += area[d]);
+                    }
+                };
+                of_body(shape, weight, bar);
+                if !self.balances_heat(at) {
+                    return;
+                }
+                let share = weight * self.share[shape];
+                shapes.for_each(|body| of_body(body, -share, bar));
+                for &(k, area) in &self.rest {
+                    self.warmth_back(at, k, area, -share, bar);
+                }
+            }
+            Figure::Probe { field, probe } => Self::sampled_back(&self.probes[probe], at, field, weight, bar),
+            Figure::PressureDrop if self.periodic_x => bar.drive += weight * self.length(),
+            Figure::PressureDrop => {
+                for (k, share) in self.ends(at) {
+                    bar.fields[PRESSURE][self.inside + k] += weight * share;
+                }
+            }
+            Figure::Torque { .. } | Figure::Dissipation => bar.drive = f64::NAN,
+        }
+    }
+}
+
+/// The flow rate for a drive that holds it.
+pub struct Rate<'a> {
+    pub measures: &'a Measures,
+    pub shaped: &'a Shaped,
+}
+
+impl FlowRate for Rate<'_> {
+    fn value(&self, equations: &Equations, state: &State, d: &Derivatives) -> f64 {
+        self.measures.value(Figure::FlowRate, &At { equations, shaped: self.shaped, state, d })
+    }
+
+    fn by_state(&self, equations: &Equations, operators: &Coefficients<C>) -> Vec<f64> {
+        let n = equations.particles();
+        let mut bar = Bar::new(n, self.shaped.area.len());
+        let (state, d) = (State::at_rest(n), Bar::new(n, 0).derivatives);
+        let at = At { equations, shaped: self.shaped, state: &state, d: &d };
+        self.measures.pull_back(Figure::FlowRate, &at, 1.0, &mut bar);
+        let fields = equations.by_fields(operators, &bar);
+        (0..4 * n).map(|k| fields[k % 4][k / 4]).collect()
+    }
+}

@@ -1,0 +1,366 @@
+//! The linearised flow in space, and its solution by GMRES with a block preconditioner.
+//!
+//! With the rows of momentum K, G and those of continuity D, S of the four unknowns at each particle,
+//!
+//! ```text
+//!   A = | K  G |      P = | K  G |      X = -1 / nu: the Schur complement S - D K^-1 G of a slow flow is -1 / nu times an
+//!       | D  S |          | 0  X |      operator near the identity (Silvester and Wathen 1994; Elman, Silvester and Wathen 2014).
+//! ```
+//!
+//! K^-1 is GMRES again with incomplete factors, to a tenth; so the outer iteration is a flexible one (Saad 1993). A pair of particles
+//! has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
+//! `[N, 4]`, and behind them the numbers of the whole flow: lambda and a drive, as a border of the matrix.
+
+use super::super::equations::Warmth;
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use super::super::steady::dense;
+use super::equations::{dot, laplacian, Condition, Derivatives, Equations, Motion, State, FLOW, PRESSURE};
+use crate::numerics::incomplete_lu::IncompleteLu;
+use crate::numerics::krylov::{gmres, gmres_restarted};
+use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Singular};
+use std::ops::Range;
+
+/// Products before GMRES begins anew, and at most.
+const PRODUCTS: (usize, usize) = (120, 600);
+/// Relative residual of a solution with K, and products that it may take.
+const INNER: f64 = 0.05;
+const INNER_PRODUCTS: usize = 80;
+
+/// Which of a pair's numbers the rows of a particle take.
+#[derive(Debug, Clone, Copy, Default)]
+struct Takes {
+    /// K's in the row of each velocity, the slopes of the pressure there, slopes of the velocity in continuity's row.
+    carries: [f64; 3],
+    pushes: f64,
+    flows: f64,
+}
+
+/// The matrix A at a state, or its transpose, by pairs of particles.
+#[derive(Debug)]
+pub struct Linear {
+    transposed: bool,
+    first: Vec<usize>,
+    column: Vec<u32>,
+    /// K, x, y, z, S.
+    pairs: Vec<[f64; 5]>,
+    takes: Vec<Takes>,
+    /// Each particle's own block, row by row.
+    own: Vec<[[f64; FLOW]; FLOW]>,
+    viscosity: f64,
+    /// Whether the pressure is given at a particle.
+    given: Vec<bool>,
+}
+
+impl Linear {
+    pub fn new(equations: &Equations, state: &State, d: &Derivatives, operators: &Coefficients<C>) -> Self {
+        let n = equations.particles();
+        let (mut first, mut column, mut pairs) = (vec![0], vec![], vec![]);
+        let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        for i in 0..n {
+            let motion = equations.condition(i).map(|condition| condition.motion);
+            let u = state.velocity(i);
+            let mut sum = [0.0; 5];
+            for k in 0..equations.stencils.count(i) {
+                let (j, c) = (equations.stencils.neighbour(i, k), operators.of(i, k));
+                if j == i {
+                    continue;
+                }
+                let carried = match motion {
+                    None => dot(u, &c) - equations.viscosity * laplacian(&c),
+                    Some(Motion::Given(_)) => 0.0,
+                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => c[along],
+                };
+                let pair = [carried, c[0], c[1], c[2], -equations.damping[i] * c[LEFT]];
+                sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
+                column.push(j as u32);
+                pairs.push(pair);
+            }
+            first.push(column.len());
+            let mut take = Takes { carries: [1.0; 3], pushes: 0.0, flows: 1.0 };
+            match motion {
+                None => take.pushes = 1.0,
+                Some(Motion::Given(_)) => take.carries = [0.0; 3],
+                Some(Motion::Symmetry(along)) => take.carries[along] = 0.0,
+                Some(Motion::Outflow(_)) => take.flows = 0.0,
+            }
+            let mut block = [[0.0; FLOW]; FLOW];
+            for e in 0..3 {
+                block[e][e] = take.carries[e] * sum[0];
+                block[e][PRESSURE] = take.pushes * sum[1 + e];
+                block[PRESSURE][e] = take.flows * sum[1 + e];
+                match motion {
+                    None => (0..3).for_each(|along| block[e][along] += d.0[e][i][along]),
+                    Some(Motion::Given(_)) => block[e][e] = 1.0,
+                    Some(Motion::Symmetry(along)) if along == e => block[e][e] = 1.0,
+                    Some(_) => {}
+                }
+            }
+            block[PRESSURE][PRESSURE] = if take.flows == 0.0 { 1.0 } else { sum[4] };
+            takes.push(take);
+            own.push(block);
+        }
+        let given = takes.iter().map(|take| take.flows == 0.0).collect();
+        Self { transposed: false, first, column, pairs, takes, own, viscosity: equations.viscosity, given }
+    }
+
+    fn particles(&self) -> usize {
+        self.takes.len()
+    }
+
+    /// The transpose: pairs by their second particle.
+    pub fn transposed(self) -> Self {
+        let n = self.particles();
+        let mut first = vec![0; n + 1];
+        self.column.iter().for_each(|&j| first[j as usize + 1] += 1);
+        (0..n).for_each(|j| first[j + 1] += first[j]);
+        let mut next = first.clone();
+        let (mut column, mut pairs) = (vec![0; self.column.len()], vec![[0.0; 5]; self.column.len()]);
+        for i in 0..n {
+            for e in self.first[i]..self.first[i + 1] {
+                let to = &mut next[self.column[e] as usize];
+                (column[*to], pairs[*to]) = (i as u32, self.pairs[e]);
+                *to += 1;
+            }
+        }
+        let turned = |block: &[[f64; FLOW]; FLOW]| std::array::from_fn(|a| std::array::from_fn(|b| block[b][a]));
+        let own = self.own.iter().map(turned).collect();
+        Self { transposed: !self.transposed, first, column, pairs, own, ..self }
+    }
+
+    /// y = A x of some particles.
+    fn rows(&self, x: &[f64], rows: Range<usize>, y: &mut [f64]) {
+        for (i, y) in rows.zip(y.chunks_exact_mut(FLOW)) {
+            let mut sum = [0.0; FLOW];
+            let mut push = [0.0; 3];
+            let (mut carried, mut flow) = ([0.0; 3], 0.0);
+            let takes = self.takes[i];
+            for e in self.first[i]..self.first[i + 1] {
+                let j = self.column[e] as usize;
+                let (x, [k, gx, gy, gz, s]) = (&x[FLOW * j..FLOW * (j + 1)], self.pairs[e]);
+                if self.transposed {
+                    let from = self.takes[j];
+                    let pressure = from.flows * x[PRESSURE];
+                    (0..3).for_each(|e| carried[e] += k * from.carries[e] * x[e]);
+                    (0..3).for_each(|e| push[e] += [gx, gy, gz][e] * pressure);
+                    flow += from.pushes * (gx * x[0] + gy * x[1] + gz * x[2]) + s * pressure;
+                } else {
+                    (0..3).for_each(|e| carried[e] += k * x[e]);
+                    (0..3).for_each(|e| push[e] += [gx, gy, gz][e] * x[PRESSURE]);
+                    flow += gx * x[0] + gy * x[1] + gz * x[2] + s * x[PRESSURE];
+                }
+            }
+            let own = &x[FLOW * i..FLOW * (i + 1)];
+            for a in 0..FLOW {
+                sum[a] = (0..FLOW).map(|b| self.own[i][a][b] * own[b]).sum();
+            }
+            if self.transposed {
+                (0..3).for_each(|e| y[e] = sum[e] + carried[e] + push[e]);
+                y[PRESSURE] = sum[PRESSURE] + flow;
+            } else {
+                (0..3).for_each(|e| y[e] = sum[e] + takes.carries[e] * carried[e] + takes.pushes * push[e]);
+                y[PRESSURE] = sum[PRESSURE] + takes.flows * flow;
+            }
+        }
+    }
+
+    /// y = A x, by threads with rows of their own.
+    fn times(&self, x: &[f64], threads: usize) -> Vec<f64> {
+        let n = self.particles();
+        let mut y = vec![0.0; FLOW * n];
+        let share = n.div_ceil(threads.max(1)).max(1);
+        std::thread::scope(|scope| {
+            for (part, y) in y.chunks_mut(FLOW * share).enumerate() {
+                let rows = part * share..n.min((part + 1) * share);
+                scope.spawn(move || self.rows(x, rows, y));
+            }
+        });
+        y
+    }
+
+    /// What the pressures push in the rows of momentum: G p, or D^T p.
+    fn pushed(&self, p: &[f64]) -> Vec<f64> {
+        let x: Vec<f64> = p.iter().flat_map(|p| [0.0, 0.0, 0.0, *p]).collect();
+        self.times(&x, 1)
+    }
+
+    /// Whether K is the same for two components of the velocity.
+    fn is_alike(&self, a: usize, b: usize) -> bool {
+        self.takes.iter().all(|take| take.carries[a] == take.carries[b])
+    }
+
+    /// K of a component of the velocity, without what the flow's own slopes add.
+    fn carrying(&self, component: usize) -> BlockMatrix {
+        let list = |i: usize| self.column[self.first[i]..self.first[i + 1]].to_vec();
+        let mut matrix = BlockMatrix::of_lists(self.particles(), 1, list);
+        for i in 0..self.particles() {
+            for e in self.first[i]..self.first[i + 1] {
+                let j = self.column[e] as usize;
+                let from = if self.transposed { j } else { i };
+                let value = self.takes[from].carries[component] * self.pairs[e][0];
+                let entry = matrix.entry(i, j as u32);
+                matrix.values[entry] += value;
+                let diagonal = matrix.entry(from, from as u32);
+                matrix.values[diagonal] -= value;
+            }
+            if self.takes[i].carries[component] == 0.0 {
+                let diagonal = matrix.entry(i, i as u32);
+                matrix.values[diagonal] = 1.0;
+            }
+        }
+        matrix
+    }
+}
+
+/// A matrix with its border, and the preconditioner.
+pub struct System {
+    pub linear: Linear,
+    columns: Vec<Vec<f64>>,
+    rows: Vec<Vec<f64>>,
+    corner: Vec<Vec<f64>>,
+    threads: usize,
+    /// K with its factors, of each component of the velocity (by index).
+    carrying: Vec<(BlockMatrix, IncompleteLu<1>)>,
+    which: [usize; 3],
+    /// Solutions of the preconditioner with each column.
+    solved: Vec<Vec<f64>>,
+}
+
+/// Columns, rows and corner of a border.
+pub type Border = [Vec<Vec<f64>>; 3];
+
+impl System {
+    /// # Errors
+    /// A particle without a diagonal entry.
+    pub fn new(linear: Linear, [columns, rows, corner]: Border, threads: usize) -> Result<Self, Singular> {
+        let mut which = [0; 3];
+        let mut carrying: Vec<(BlockMatrix, IncompleteLu<1>)> = vec![];
+        for e in 0..3 {
+            if let Some(other) = (0..e).find(|&other| linear.is_alike(e, other)) {
+                which[e] = which[other];
+                continue;
+            }
+            which[e] = carrying.len();
+            let matrix = linear.carrying(e);
+            let factors = IncompleteLu::new(&matrix)?;
+            carrying.push((matrix, factors));
+        }
+        let mut system = Self { linear, columns, rows, corner, threads, carrying, which, solved: vec![] };
+        system.solved = system.columns.iter().map(|column| system.inner(column)).collect();
+        Ok(system)
+    }
+
+    /// Memory of matrices and factors.
+    pub fn bytes(&self) -> usize {
+        let of = |(matrix, factors): &(BlockMatrix, IncompleteLu<1>)| 12 * matrix.values.len() + factors.bytes();
+        44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
+    }
+
+    fn times(&self, x: &[f64]) -> Vec<f64> {
+        let (own, extra) = x.split_at(x.len() - self.columns.len());
+        let mut y = self.linear.times(own, self.threads);
+        for (column, e) in self.columns.iter().zip(extra) {
+            y.iter_mut().zip(column).for_each(|(y, c)| *y += c * e);
+        }
+        for (row, corner) in self.rows.iter().zip(&self.corner) {
+            y.push(product(row, own) + product(corner, extra));
+        }
+        y
+    }
+
+    /// P^-1 of a vector without border.
+    fn inner(&self, right: &[f64]) -> Vec<f64> {
+        let linear = &self.linear;
+        let n = linear.particles();
+        let pressure: Vec<f64> = (0..n)
+            .map(|i| {
+                let right = right[FLOW * i + PRESSURE];
+                if linear.given[i] {
+                    right
+                } else {
+                    -linear.viscosity * right
+                }
+            })
+            .collect();
+        let pushed = linear.pushed(&pressure);
+        let of = |e: usize| {
+            let right: Vec<f64> = (0..n).map(|i| right[FLOW * i + e] - pushed[FLOW * i + e]).collect();
+            let (matrix, factors) = &self.carrying[self.which[e]];
+            gmres(&right, INNER, INNER_PRODUCTS, &|x| matrix.times_on(x, 1), &|x| factors.solve(x))
+                .unwrap_or_else(|| factors.solve(&right))
+        };
+        let velocity: [Vec<f64>; 3] = match self.threads {
+            0 | 1 => std::array::from_fn(of),
+            _ => std::thread::scope(|scope| {
+                let others = [1, 2].map(|e| scope.spawn(move || of(e)));
+                let first = of(0);
+                let [second, third] = others.map(|other| other.join().unwrap_or_default());
+                [first, second, third]
+            }),
+        };
+        (0..n).flat_map(|i| [velocity[0][i], velocity[1][i], velocity[2][i], pressure[i]]).collect()
+    }
+
+    fn precondition(&self, right: &[f64]) -> Vec<f64> {
+        let m = self.columns.len();
+        let (own, extra) = right.split_at(right.len() - m);
+        let mut x = self.inner(own);
+        let entry = |i: usize, j: usize| self.corner[i][j] - product(&self.rows[i], &self.solved[j]);
+        let schur: Vec<Vec<f64>> = (0..m).map(|i| (0..m).map(|j| entry(i, j)).collect()).collect();
+        let rest: Vec<f64> = (0..m).map(|i| extra[i] - product(&self.rows[i], &x)).collect();
+        let e = dense(schur, rest);
+        for (e, column) in e.iter().zip(&self.solved) {
+            x.iter_mut().zip(column).for_each(|(x, c)| *x -= e * c);
+        }
+        x.extend(e);
+        x
+    }
+
+    /// The solution to a relative residual, in which rows of continuity count `weight` times; adds the products that it took.
+    pub fn solve(&self, right: &[f64], tolerance: f64, weight: f64, products: &mut usize) -> Option<Vec<f64>> {
+        let n = self.linear.particles();
+        let scaled = |x: &mut [f64], by: f64| {
+            x[..FLOW * n].chunks_exact_mut(FLOW).for_each(|row| row[PRESSURE] *= by);
+        };
+        let count = std::cell::Cell::new(0);
+        let times = |x: &[f64]| {
+            count.set(count.get() + 1);
+            let mut y = self.times(x);
+            scaled(&mut y, weight);
+            y
+        };
+        let precondition = |x: &[f64]| {
+            let mut x = x.to_vec();
+            scaled(&mut x, 1.0 / weight);
+            self.precondition(&x)
+        };
+        let mut right = right.to_vec();
+        scaled(&mut right, weight);
+        let found = gmres_restarted(&right, tolerance, PRODUCTS, &times, &precondition);
+        *products += count.get();
+        found
+    }
+}
+
+/// The matrix of the heat's residual by T.
+pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficients<C>) -> BlockMatrix {
+    let alpha = equations.diffusivity.unwrap_or(0.0);
+    let mut matrix = equations.stencils.matrix(1);
+    for i in 0..equations.particles() {
+        let diagonal = matrix.entry(i, i as u32);
+        if let Some(Condition { warmth: Warmth::Given(_), .. }) = equations.condition(i) {
+            matrix.values[diagonal] = 1.0;
+            continue;
+        }
+        for k in 0..equations.stencils.count(i) {
+            let c = operators.of(i, k);
+            let value = match equations.condition(i) {
+                None => dot(state.velocity(i), &c) - alpha * laplacian(&c),
+                Some(Condition { normal, .. }) => alpha * (dot(*normal, &c) + equations.smoothing(i) * c[LEFT]),
+            };
+            let entry = matrix.entry(i, equations.stencils.neighbour(i, k) as u32);
+            matrix.values[entry] += value;
+            matrix.values[diagonal] -= value;
+        }
+    }
+    matrix
+}

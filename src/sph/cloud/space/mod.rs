@@ -1,0 +1,12 @@
+//! Fixed particles around shapes in three dimensions: the steady flow, its figures and their exact derivatives.
+//!
+//! The same method as in the plane ([`super`]), with fits of second order to more neighbours. Its systems are too large for direct
+//! factors; they are solved by GMRES with a block preconditioner ([`linear`]).
+pub mod equations;
+pub mod figures;
+pub mod linear;
+pub mod particles;
+pub mod placing;
+pub mod problem;
+pub mod steady;
+pub mod surface;

@@ -1,0 +1,340 @@
+//! A cloud of fixed particles around shapes in space, and how it depends on their numbers.
+//!
+//! Points on a surface follow it; the others follow by a harmonic map, see [`super::super::deformation`].
+
+use super::super::equations::Warmth;
+use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
+use super::super::nearest::Nearest;
+use super::super::outline::Dual;
+use super::equations::{Bar, Condition, Equations, Motion};
+use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
+use super::steady::solve_scalar;
+use super::surface::OnSurface;
+use crate::numerics::sparse_lu::{BlockMatrix, Singular};
+use crate::sph::consistent::stencil::quadratic;
+use std::fmt::Debug;
+use std::sync::Arc;
+
+/// Neighbours of the fits inside.
+pub const NEIGHBOURS: usize = 32;
+/// The same on the boundary, where all are on one side. (With 32 as inside, the drag of an array of spheres is 2 % off, pressures
+/// oscillate from point to point, and the iterations hardly converge.)
+pub const ON_BOUNDARY: usize = 56;
+
+/// Velocity and temperature that points of the boundary have, by place.
+pub trait Surroundings: Debug + Send + Sync {
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 3], numbers: &[Vec<f64>]) -> (Motion, Warmth);
+    /// Whether conditions depend on the place of a point that moves with a shape.
+    fn varies(&self, shape: usize) -> bool;
+}
+
+/// Materials and forces of a flow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fluid {
+    pub viscosity: f64,
+    pub diffusivity: Option<f64>,
+    pub force: [f64; 3],
+    /// A typical velocity, for the pressure's damping.
+    pub velocity: f64,
+}
+
+/// What is wrong with a cloud.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Unusable {
+    Placing(Unplaceable),
+    /// A particle has too few neighbours that it sees.
+    Lonely([f64; 3]),
+    /// The map of a shape turns the cloud inside out here.
+    Folded([f64; 3]),
+    Singular,
+}
+
+impl From<Singular> for Unusable {
+    fn from(_: Singular) -> Self {
+        Self::Singular
+    }
+}
+
+/// The reference cloud: places, stencils and map.
+#[derive(Debug)]
+pub struct Cloud {
+    pub ground: Ground,
+    pub places: Places,
+    pub fluid: Fluid,
+    pub stencils: Stencils<3>,
+    pub surroundings: Arc<dyn Surroundings>,
+    /// Middle of the points of each shape.
+    pub centre: Vec<[f64; 3]>,
+    /// Laplace's equation at the reference positions, and its transpose.
+    map: [BlockMatrix; 2],
+    threads: usize,
+}
+
+/// The cloud of one shape.
+#[derive(Debug, Clone)]
+pub struct Shaped {
+    pub numbers: Vec<Vec<f64>>,
+    /// `[3][N]`.
+    pub position: [Vec<f64>; 3],
+    /// Normal into the fluid times area, of each point of the boundary on a shape; zero on sides, which have tiles.
+    pub area: Vec<[f64; 3]>,
+    /// Volume of the fluid.
+    pub volume: f64,
+    pub conditions: Vec<Condition>,
+    pub operators: Coefficients<C>,
+}
+
+fn norm(a: [f64; 3]) -> f64 {
+    a.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+impl Cloud {
+    /// Places particles around the shapes of `ground`.
+    ///
+    /// # Errors
+    /// Shapes that cannot be resolved.
+    pub fn new(
+        ground: Ground,
+        fluid: Fluid,
+        surroundings: Arc<dyn Surroundings>,
+        threads: usize,
+    ) -> Result<Self, Unusable> {
+        let places = ground.fill().map_err(Unusable::Placing)?;
+        let near = neighbours(&ground, &places, threads);
+        let count = |i: usize| if i < places.inside { NEIGHBOURS } else { ON_BOUNDARY };
+        let stencils = Stencils::new(ground.region, &places.place, count, &near)
+            .map_err(|i| Unusable::Lonely(places.place[i]))?;
+        let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
+        let operators = stencils.coefficients(&position);
+        let mut laplace = stencils.matrix(1);
+        for i in 0..stencils.particles {
+            let diagonal = laplace.entry(i, i as u32);
+            if i >= places.inside {
+                laplace.values[diagonal] = 1.0;
+                continue;
+            }
+            for k in 0..stencils.count(i) {
+                let c = operators.of(i, k);
+                let value: f64 = (0..3).map(|a| c[quadratic(3, a, a)]).sum();
+                let entry = laplace.entry(i, stencils.neighbour(i, k) as u32);
+                laplace.values[entry] += value;
+                laplace.values[diagonal] -= value;
+            }
+        }
+        let mut transposed = laplace.clone();
+        transposed.transpose();
+        let centre = (0..ground.surfaces.len())
+            .map(|shape| {
+                let surface = &ground.surfaces[shape];
+                let own = places.boundary.iter().filter_map(|point| point.on.filter(|on| on.0 == shape));
+                let all: Vec<[f64; 3]> = own.map(|(_, spot)| surface.at(&spot, &surface.numbers).place).collect();
+                std::array::from_fn(|d| all.iter().map(|p| p[d]).sum::<f64>() / all.len().max(1) as f64)
+            })
+            .collect();
+        Ok(Self { ground, places, fluid, stencils, surroundings, centre, map: [laplace, transposed], threads })
+    }
+
+    pub fn particles(&self) -> usize {
+        self.places.place.len()
+    }
+
+    /// The numbers of all shapes in the reference cloud.
+    pub fn numbers(&self) -> Vec<Vec<f64>> {
+        self.ground.surfaces.iter().map(|surface| surface.numbers.clone()).collect()
+    }
+
+    /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of a surface.
+    pub fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
+        number >= self.ground.surfaces[shape].geometry
+    }
+
+    /// The equations for a shape, whose conditions they hold.
+    pub fn equations(&self, shaped: &Shaped) -> Equations {
+        let (nu, velocity) = (self.fluid.viscosity, self.fluid.velocity);
+        Equations {
+            viscosity: nu,
+            diffusivity: self.fluid.diffusivity,
+            force: self.fluid.force,
+            damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
+            inside: self.places.inside,
+            conditions: shaped.conditions.clone(),
+            stencils: self.stencils.clone(),
+        }
+    }
+
+    /// The points on shapes: place in the boundary, shape, and what is there for its numbers.
+    fn on_shapes<'a>(&'a self, numbers: &'a [Vec<f64>]) -> impl Iterator<Item = (usize, usize, OnSurface<f64>)> + 'a {
+        self.places.boundary.iter().enumerate().filter_map(|(k, point)| {
+            let (shape, spot) = point.on?;
+            Some((k, shape, self.ground.surfaces[shape].at(&spot, &numbers[shape])))
+        })
+    }
+
+    /// The cloud for numbers of every shape.
+    ///
+    /// # Errors
+    /// A map that folds the cloud.
+    pub fn shaped(&self, numbers: &[Vec<f64>]) -> Result<Shaped, Unusable> {
+        let (n, inside) = (self.particles(), self.places.inside);
+        let mut area = vec![[0.0; 3]; n - inside];
+        let mut normal: Vec<[f64; 3]> = self.places.boundary.iter().map(|point| point.normal).collect();
+        let mut volume: f64 = self.ground.region.size.iter().product();
+        let mut moved: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; n]);
+        let reference = self.numbers();
+        for ((k, shape, new), (.., old)) in self.on_shapes(numbers).zip(self.on_shapes(&reference)) {
+            (0..3).for_each(|d| moved[d][inside + k] = new.place[d] - old.place[d]);
+            area[k] = new.area;
+            normal[k] = new.area.map(|x| x / norm(new.area));
+            volume -= self.ground.surfaces[shape].volume(&new, self.centre[shape]);
+        }
+        let mut position: [Vec<f64>; 3] = std::array::from_fn(|d| self.places.place.iter().map(|p| p[d]).collect());
+        for d in 0..3 {
+            if moved[d].iter().any(|&x| x != 0.0) {
+                let moved = solve_scalar(&self.map[0], &moved[d], self.threads).ok_or(Unusable::Singular)?;
+                position[d].iter_mut().zip(moved).for_each(|(x, moved)| *x += moved);
+            }
+        }
+        self.check_folds(&position)?;
+        let condition = |(k, point): (usize, &BoundaryPoint)| {
+            let place = std::array::from_fn(|d| position[d][inside + k]);
+            let (motion, warmth) = self.surroundings.condition(point, place, numbers);
+            Condition { motion, warmth, normal: normal[k] }
+        };
+        let conditions = self.places.boundary.iter().enumerate().map(condition).collect();
+        let operators = self.stencils.coefficients(&position);
+        Ok(Shaped { numbers: numbers.to_vec(), position, area, volume, conditions, operators })
+    }
+
+    /// Nearest neighbours must stay apart and on their side: 0.4 of their reference distance along it.
+    fn check_folds(&self, position: &[Vec<f64>; 3]) -> Result<(), Unusable> {
+        for i in 0..self.particles() {
+            for k in 0..6 {
+                let (j, _, shift) = self.stencils.pair(i, k);
+                let (a, b) = (self.places.place[i], self.places.place[j]);
+                let (mut square, mut along) = (0.0, 0.0);
+                for d in 0..3 {
+                    let before = b[d] - a[d] + shift[d];
+                    square += before * before;
+                    along += before * (position[d][j] - position[d][i] + shift[d]);
+                }
+                if along.is_nan() || along < 0.4 * square {
+                    return Err(Unusable::Folded(std::array::from_fn(|d| position[d][i])));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The derivative of what the conditions of boundary point k give, by central differences along a change of place or numbers.
+    fn by_condition(&self, bar: &Bar, k: usize, step: f64, with: &dyn Fn(f64) -> ([f64; 3], Vec<Vec<f64>>)) -> f64 {
+        let point = &self.places.boundary[k];
+        let at = |sign: f64| {
+            let (place, numbers) = with(sign * step);
+            self.surroundings.condition(point, place, &numbers)
+        };
+        let (up, down) = (at(1.0), at(-1.0));
+        let number = |warmth: Warmth| match warmth {
+            Warmth::Given(x) | Warmth::Flux(x) => x,
+        };
+        let bar = &bar.boundary[k];
+        let moves = match (up.0, down.0) {
+            (Motion::Given(a), Motion::Given(b)) => (0..3).map(|e| bar.velocity[e] * (a[e] - b[e])).sum(),
+            _ => 0.0,
+        };
+        (moves + bar.temperature * (number(up.1) - number(down.1))) / (2.0 * step)
+    }
+
+    /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary.
+    ///
+    /// # Errors
+    /// A map whose transposed equations are not solved.
+    pub fn by_numbers(
+        &self,
+        shaped: &Shaped,
+        position_bar: &[Vec<f64>; 3],
+        bar: &Bar,
+        wanted: &[(usize, usize)],
+    ) -> Result<Vec<f64>, Unusable> {
+        let inside = self.places.inside;
+        let mut place_bar: Vec<[f64; 3]> = vec![[0.0; 3]; self.places.boundary.len()];
+        for d in 0..3 {
+            let of_boundary =
+                solve_scalar(&self.map[1], &position_bar[d], self.threads).ok_or(Unusable::Singular)?;
+            place_bar.iter_mut().zip(&of_boundary[inside..]).for_each(|(to, x)| to[d] = *x);
+        }
+        let place = |k: usize| -> [f64; 3] { std::array::from_fn(|d| shaped.position[d][inside + k]) };
+        let step = 1e-5 * self.ground.dx;
+        for (k, point) in self.places.boundary.iter().enumerate() {
+            if point.on.is_some_and(|(shape, _)| self.surroundings.varies(shape)) {
+                for d in 0..3 {
+                    let with = |step: f64| {
+                        let mut p = place(k);
+                        p[d] += step;
+                        (p, shaped.numbers.clone())
+                    };
+                    place_bar[k][d] += self.by_condition(bar, k, step, &with);
+                }
+            }
+        }
+        let of = |&(shape, number): &(usize, usize)| {
+            let value = shaped.numbers[shape][number];
+            if self.is_parameter((shape, number)) {
+                let with = |k: usize, step: f64| {
+                    let mut numbers = shaped.numbers.clone();
+                    numbers[shape][number] += step;
+                    (place(k), numbers)
+                };
+                let own = self.places.boundary.iter().enumerate().filter(|(_, point)| point.on.is_some_and(|on| on.0 == shape));
+                let step = 1e-5 * value.abs().max(1e-3);
+                return own.map(|(k, _)| self.by_condition(bar, k, step, &|step| with(k, step))).sum();
+            }
+            let surface = &self.ground.surfaces[shape];
+            let numbers: Vec<Dual> = (0..shaped.numbers[shape].len())
+                .map(|n| Dual { value: shaped.numbers[shape][n], slope: if n == number { 1.0 } else { 0.0 } })
+                .collect();
+            let mut sum = 0.0;
+            for (k, point) in self.places.boundary.iter().enumerate() {
+                let Some((_, spot)) = point.on.filter(|on| on.0 == shape) else { continue };
+                let on = surface.at(&spot, &numbers);
+                sum -= bar.volume * surface.volume(&on, self.centre[shape]).slope;
+                let (area, n) = (shaped.area[k], shaped.conditions[k].normal);
+                let along: f64 = (0..3).map(|d| n[d] * on.area[d].slope).sum();
+                for d in 0..3 {
+                    sum += on.place[d].slope * place_bar[k][d] + on.area[d].slope * bar.boundary[k].area[d];
+                    sum += bar.boundary[k].normal[d] * (on.area[d].slope - n[d] * along) / norm(area);
+                }
+            }
+            sum
+        };
+        Ok(wanted.iter().map(of).collect())
+    }
+}
+
+/// The particles next to each, nearest first, that no shape hides.
+fn neighbours(ground: &Ground, places: &Places, threads: usize) -> Vec<Vec<(f64, u32)>> {
+    let all = Nearest::new(ground.region, ground.dx, &places.place);
+    let distance: Vec<f64> = places.place.iter().map(|p| ground.distance(*p, None)).collect();
+    let sees = |i: usize, j: usize, length: f64| {
+        if distance[i] + distance[j] > length {
+            return true;
+        }
+        let (a, r) = (places.place[i], ground.region.between(places.place[i], places.place[j]));
+        let finest = places.spacing[i].min(places.spacing[j]);
+        [0.25, 0.5, 0.75].iter().all(|part| {
+            let p = ground.region.wrapped(std::array::from_fn(|d| a[d] + part * r[d]));
+            ground.distance(p, None) > -0.6 * finest
+        })
+    };
+    let count = |i: usize| if i < places.inside { NEIGHBOURS } else { ON_BOUNDARY };
+    let of = |i: usize| all.of(places.place[i], count(i) + 1, |j, length| j != i && sees(i, j, length));
+    let n = places.place.len();
+    let mut found: Vec<Vec<(f64, u32)>> = vec![vec![]; n];
+    let share = n.div_ceil(threads.max(1)).max(1);
+    std::thread::scope(|scope| {
+        for (part, to) in found.chunks_mut(share).enumerate() {
+            let of = &of;
+            scope.spawn(move || to.iter_mut().enumerate().for_each(|(k, to)| *to = of(part * share + k)));
+        }
+    });
+    found
+}

@@ -1,0 +1,213 @@
+//! Surfaces of shapes in three dimensions, which depend smoothly on the shape's numbers.
+//!
+//! A [`Spot`] is a point of a surface by parameters that do not change when the shape does: a direction of a ball, shares of a
+//! box's edges, the parameter of an outline. Place and area (normal into the fluid times area) at a spot are smooth functions of
+//! the numbers, written once for numbers and [`super::super::outline::Dual`] ones.
+
+use super::super::nearest::{Nearest, Plane, Region};
+use super::super::outline::{Outline, Scalar};
+use super::super::placing::{lengths, spread, Polygon};
+use crate::config::custom::Part;
+use std::f64::consts::PI;
+
+/// A point of a surface, and the share of the surface that it stands for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Spot {
+    /// A direction from the centre of a ball, and a solid angle.
+    Direction([f64; 3], f64),
+    /// A face of a box: its direction and end (0 low, 1 high), shares of the other two edges, share of the face's area.
+    Face { along: usize, end: usize, at: [f64; 2], share: f64 },
+    /// Parameter of an outline and its change, place along the axis and length there.
+    Column { t: f64, dt: f64, at: f64, length: f64 },
+}
+
+/// Place of a spot, and normal into the fluid times area.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OnSurface<S> {
+    pub place: [S; 3],
+    pub area: [S; 3],
+}
+
+/// What a surface looks like.
+#[derive(Debug)]
+pub enum Form {
+    /// Numbers: centre, radius.
+    Ball,
+    /// Numbers: lower and upper corner.
+    Box,
+    /// An outline in the plane across `axis`, along all of the region.
+    Column { outline: Outline, axis: usize, polygon: Polygon, samples: Nearest<2>, plane: Plane },
+}
+
+/// The surface of a shape.
+#[derive(Debug)]
+pub struct Surface {
+    pub form: Form,
+    pub parts: Vec<Part>,
+    pub numbers: Vec<f64>,
+    /// How many of the numbers the surface depends on.
+    pub geometry: usize,
+}
+
+/// The two directions across an axis, so that they and the axis are right-handed.
+pub fn across(axis: usize) -> [usize; 2] {
+    [(axis + 1) % 3, (axis + 2) % 3]
+}
+
+fn plane_across(region: &Region<3>, axis: usize) -> Plane {
+    let [a, b] = across(axis);
+    Plane { size: [region.size[a], region.size[b]], periodic: [region.periodic[a], region.periodic[b]] }
+}
+
+/// About evenly spaced directions (a Fibonacci lattice on the sphere; Gonzalez 2010).
+fn directions(count: usize) -> impl Iterator<Item = [f64; 3]> {
+    let golden = PI * (3.0 - 5f64.sqrt());
+    (0..count).map(move |k| {
+        let z = 1.0 - (2 * k + 1) as f64 / count as f64;
+        let (sin, cos) = (golden * k as f64).sin_cos();
+        let r = (1.0 - z * z).sqrt();
+        [r * cos, r * sin, z]
+    })
+}
+
+impl Surface {
+    /// A column along an axis with an outline across it.
+    pub fn column(outline: Outline, axis: usize, region: &Region<3>) -> Self {
+        let fine = outline.points(&outline.samples(32), &outline.numbers);
+        let plane = plane_across(region, axis);
+        let samples: Vec<[f64; 2]> = fine.iter().map(|point| plane.wrapped(point.place)).collect();
+        let samples = Nearest::new(plane, 0.02 * plane.size[0].max(plane.size[1]), &samples);
+        let (parts, numbers, geometry) = (outline.parts.clone(), outline.numbers.clone(), outline.geometry);
+        Self { form: Form::Column { polygon: Polygon::of(&fine), samples, plane, outline, axis }, parts, numbers, geometry }
+    }
+
+    /// The least of its own lengths: radius, half of an edge.
+    pub fn size(&self) -> f64 {
+        match &self.form {
+            Form::Ball => self.numbers[3],
+            Form::Box => (0..3).map(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d])).fold(f64::MAX, f64::min),
+            Form::Column { polygon, .. } => (0.5 * polygon.area()).sqrt(),
+        }
+    }
+
+    /// The distance of a place from the surface, negative inside.
+    pub fn distance(&self, region: &Region<3>, p: [f64; 3]) -> f64 {
+        match &self.form {
+            Form::Ball => region.distance([self.numbers[0], self.numbers[1], self.numbers[2]], p) - self.numbers[3],
+            Form::Box => {
+                let half: [f64; 3] = std::array::from_fn(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d]));
+                let r = region.between(std::array::from_fn(|d| self.numbers[d] + half[d]), p);
+                let out: [f64; 3] = std::array::from_fn(|d| r[d].abs() - half[d]);
+                let outside = out.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
+                outside + out.iter().fold(f64::MIN, |most, x| most.max(*x)).min(0.0)
+            }
+            Form::Column { axis, polygon, samples, plane, .. } => {
+                let [a, b] = across(*axis);
+                let q = [p[a], p[b]];
+                let distance = samples.distance(plane.wrapped(q), f64::INFINITY);
+                if polygon.covers(plane, q) {
+                    -distance
+                } else {
+                    distance
+                }
+            }
+        }
+    }
+
+    /// Spots about `spacing` apart on the surface at a distance from this one.
+    pub fn spread(&self, region: &Region<3>, spacing: f64, distance: f64) -> Vec<Spot> {
+        match &self.form {
+            Form::Ball => {
+                let r = self.numbers[3] + distance;
+                // A point of a hexagonal lattice takes sqrt(3) / 2 of its spacing squared.
+                let count = (4.0 * PI * r * r / (0.9 * spacing * spacing)).ceil().max(20.0) as usize;
+                directions(count).map(|n| Spot::Direction(n, 4.0 * PI / count as f64)).collect()
+            }
+            Form::Box => {
+                let mut spots = vec![];
+                for along in 0..3 {
+                    let [a, b] = across(along);
+                    let count = |d: usize| {
+                        ((self.numbers[3 + d] - self.numbers[d]) / spacing).round().max(1.0) as usize
+                    };
+                    let (m, n) = (count(a), count(b));
+                    for end in 0..2 {
+                        for k in 0..m * n {
+                            let at = [((k / n) as f64 + 0.5) / m as f64, ((k % n) as f64 + 0.5) / n as f64];
+                            spots.push(Spot::Face { along, end, at, share: 1.0 / (m * n) as f64 });
+                        }
+                    }
+                }
+                spots
+            }
+            Form::Column { outline, axis, .. } => {
+                let samples = outline.samples(64);
+                let mut points = outline.points(&samples, &outline.numbers);
+                for point in &mut points {
+                    let length = point.along[0].hypot(point.along[1]);
+                    point.place[0] += distance * point.along[1] / length;
+                    point.place[1] -= distance * point.along[0] / length;
+                }
+                let way = lengths(&points);
+                let round = spread(&samples, &way, &vec![spacing; samples.len()], true, 0.0, 1.0);
+                let count = (region.size[*axis] / spacing).round().max(1.0) as usize;
+                let step = region.size[*axis] / count as f64;
+                let row = |k: usize| {
+                    let at = (k as f64 + 0.5) * step;
+                    // Every second row is half a point further.
+                    let shift = if k % 2 == 0 { 0.0 } else { 0.5 };
+                    let of = |&(t, dt, _): &(f64, f64, f64)| (t + shift * dt, dt);
+                    round.iter().map(of).map(move |(t, dt)| Spot::Column {
+                        t: t.rem_euclid(1.0),
+                        dt,
+                        at,
+                        length: step,
+                    }).collect::<Vec<_>>()
+                };
+                (0..count).flat_map(row).collect()
+            }
+        }
+    }
+
+    /// A spot for numbers of the shape.
+    pub fn at<S: Scalar>(&self, spot: &Spot, s: &[S]) -> OnSurface<S> {
+        let zero = S::of(0.0);
+        match (*spot, &self.form) {
+            (Spot::Direction(n, share), _) => {
+                let r = s[3];
+                let place = std::array::from_fn(|d| s[d] + r * S::of(n[d]));
+                OnSurface { place, area: std::array::from_fn(|d| r * r * S::of(share * n[d])) }
+            }
+            (Spot::Face { along, end, at, share }, _) => {
+                let [a, b] = across(along);
+                let mut place = [zero; 3];
+                place[along] = s[3 * end + along];
+                place[a] = s[a] + (s[3 + a] - s[a]) * S::of(at[0]);
+                place[b] = s[b] + (s[3 + b] - s[b]) * S::of(at[1]);
+                let mut area = [zero; 3];
+                let sign = if end == 0 { -1.0 } else { 1.0 };
+                area[along] = (s[3 + a] - s[a]) * (s[3 + b] - s[b]) * S::of(sign * share);
+                OnSurface { place, area }
+            }
+            (Spot::Column { t, dt, at, length }, Form::Column { outline, axis, .. }) => {
+                let point = outline.points(&[t], s)[0];
+                let [a, b] = across(*axis);
+                let (mut place, mut area) = ([zero; 3], [zero; 3]);
+                (place[a], place[b], place[*axis]) = (point.place[0], point.place[1], S::of(at));
+                (area[a], area[b]) = (point.along[1] * S::of(dt * length), -point.along[0] * S::of(dt * length));
+                OnSurface { place, area }
+            }
+            // Columns' spots are on columns.
+            (Spot::Column { .. }, _) => OnSurface { place: [zero; 3], area: [zero; 3] },
+        }
+    }
+
+    /// The part of the volume inside that belongs to a spot, r . area / 3 with r from `centre`. (Of a column, whose ends have no
+    /// spots, r . area / 2 across the axis.)
+    pub fn volume<S: Scalar>(&self, on: &OnSurface<S>, centre: [f64; 3]) -> S {
+        let skipped = if let Form::Column { axis, .. } = &self.form { Some(*axis) } else { None };
+        let part = if skipped.is_some() { 0.5 } else { 1.0 / 3.0 };
+        let of = |d: usize| (on.place[d] - S::of(centre[d])) * on.area[d];
+        (0..3).filter(|d| Some(*d) != skipped).map(of).fold(S::of(0.0), |sum, x| sum + x) * S::of(part)
+    }
+}
