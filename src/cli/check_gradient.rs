@@ -1,7 +1,7 @@
 //! `hydrograd check-gradient`: checks the design gradient against differences.
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
-use super::around_shapes;
+use super::{around_bodies, around_shapes};
 use super::files::{self, write_json};
 use super::page;
 use super::prepare::{build, open_device, use_threads};
@@ -76,6 +76,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
+    if loaded.config.is_around_bodies() {
+        return around_bodies::check_gradient(&loaded, &folder);
+    }
     if loaded.config.is_around_shapes() {
         return around_shapes::check_gradient(&loaded, &folder);
     }

@@ -3,6 +3,7 @@
 pub mod arguments;
 mod around_in_time;
 mod around_optimize;
+mod around_bodies;
 mod around_shapes;
 pub mod bench;
 mod calibrate;

@@ -1,7 +1,7 @@
 //! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or checks what a file would build.
 
 use super::arguments::{check_preset, CommonArguments};
-use super::around_shapes;
+use super::{around_bodies, around_shapes};
 use super::files;
 use super::machine;
 use super::prepare::{open_device, use_threads};
@@ -97,6 +97,9 @@ fn check(common: &CommonArguments) -> anyhow::Result<()> {
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
+    if loaded.config.is_around_bodies() {
+        return around_bodies::check(&loaded, &folder);
+    }
     if loaded.config.is_around_shapes() {
         return around_shapes::check(&loaded, &folder);
     }

@@ -33,6 +33,11 @@ pub struct Sides {
     pub bottom: Option<Side>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub top: Option<Side>,
+    /// Those at the lower and upper end of z.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub back: Option<Side>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub front: Option<Side>,
 }
 
 /// The condition on a side of the box.
@@ -68,13 +73,15 @@ impl Sides {
         self.all().iter().all(|(_, side)| side.is_none())
     }
 
-    /// The sides in the order low x, high x, low y, high y, with their names.
-    pub fn all(&self) -> [(&'static str, Option<&Side>); 4] {
+    /// The sides in the order low x, high x, low y, high y, low z, high z, with their names.
+    pub fn all(&self) -> [(&'static str, Option<&Side>); 6] {
         [
             ("left", self.left.as_ref()),
             ("right", self.right.as_ref()),
             ("bottom", self.bottom.as_ref()),
             ("top", self.top.as_ref()),
+            ("back", self.back.as_ref()),
+            ("front", self.front.as_ref()),
         ]
     }
 }
@@ -284,6 +291,16 @@ impl Axis {
 
 impl Kind {
     /// The name in a configuration, and the keys that a shape of this kind must have.
+    /// Whether it is a smooth curve in the plane.
+    pub fn is_curve(self) -> bool {
+        matches!(self, Self::Ellipse | Self::Spline | Self::BSpline | Self::Naca)
+    }
+
+    /// Its name in files.
+    pub fn shown(self) -> &'static str {
+        self.facts().0
+    }
+
     fn facts(self) -> (&'static str, &'static [&'static str]) {
         match self {
             Self::Box => ("box", &["lower", "upper"]),
@@ -357,8 +374,10 @@ impl ShapeEntry {
         let vectors = [("lower", &self.lower), ("upper", &self.upper), ("centre", &self.centre)];
         for (name, vector) in vectors {
             let Some(vector) = vector else { continue };
-            if vector.len() != dimension || vector.iter().any(|x| !x.is_finite()) {
-                return Err(bad(name, format!("{vector:?}")).allowed(format!("{dimension} finite numbers")));
+            // What goes along all of z has its centre in the plane.
+            let length = if kind.is_curve() { 2 } else { dimension };
+            if vector.len() != length || vector.iter().any(|x| !x.is_finite()) {
+                return Err(bad(name, format!("{vector:?}")).allowed(format!("{length} finite numbers")));
             }
         }
         for (name, vector, least) in [("axes", &self.axes, 2), ("radii", &self.radii, 4)] {
@@ -374,10 +393,6 @@ impl ShapeEntry {
         }
         if let Some(digits) = self.digits.as_ref().filter(|d| d.len() != 4 || !d.bytes().all(|d| d.is_ascii_digit())) {
             return Err(bad("digits", format!("\"{digits}\"")).allowed("four digits, such as \"2412\""));
-        }
-        if dimension == 3 && matches!(kind, Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca | Kind::File) {
-            let problem = format!("{shown} in three dimensions");
-            return Err(bad("kind", problem).allowed("box, disc, cylinder, polyline, polygon or where"));
         }
         for (name, length) in [("radius", self.radius), ("thickness", self.thickness), ("chord", self.chord)] {
             if let Some(length) = length.filter(|length| !(*length > 0.0 && length.is_finite())) {

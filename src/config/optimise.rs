@@ -139,6 +139,8 @@ pub enum ObjectiveKind {
     /// Area of shapes, and the smallest distance between them or to walls; for limits.
     Area,
     Distance,
+    /// Volume of shapes in three dimensions; for limits.
+    Volume,
 }
 
 impl ObjectiveKind {

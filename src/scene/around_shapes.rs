@@ -136,7 +136,7 @@ impl AroundShapes {
             OnWall::new(&key, 2, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref(), read)
                 .map(|wall| Some((*kind, wall)))
         };
-        let [left, right, bottom, top] = region.sides.all().map(side);
+        let [left, right, bottom, top, ..] = region.sides.all().map(side);
         let polygon = |outline: &Outline| Polygon::of(&outline.points(&outline.samples(8), &outline.numbers));
         let conditions = Conditions {
             plane,
@@ -581,7 +581,7 @@ fn check_probes(cloud: &Cloud, probes: &[[f64; 2]]) -> Result<(), BadInput> {
 }
 
 /// Two thirds of the spacing, in three digits.
-fn finer(config: &Config) -> String {
+pub fn finer(config: &Config) -> String {
     let dx = config.resolution.dx / 1.5;
     let digits = 10f64.powi(2 - dx.log10().floor() as i32);
     format!("resolution.dx={}", (dx * digits).floor() / digits)
@@ -633,18 +633,25 @@ pub(super) fn no_solution(config: &Config, why: &NoSolution) -> Error {
             finer(config),
         ),
         NoSolution::Cloud(why) => unusable(config, why),
-        NoSolution::Flow(NoSteadyState::Singular) => {
+        NoSolution::Flow(why) => no_flow(config, why),
+    }
+}
+
+/// Why a flow has no steady state, or left all bounds.
+pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
+    match why {
+        NoSteadyState::Singular => {
             Error::diverged("the linearised flow has no solution: what drives or holds the fluid?".to_string(), finer(config))
         }
-        NoSolution::Flow(NoSteadyState::Diverged { residual }) => Error::diverged(
+        NoSteadyState::Diverged { residual } => Error::diverged(
             format!("no steady flow was found: Newton's method ends with a residual of {residual:.1e}, also from a flow of 8 times the viscosity"),
             format!("{}, or fluid.viscosity={}", finer(config), 2.0 * config.fluid.viscosity),
         ),
-        NoSolution::Flow(NoSteadyState::Unbounded { time }) => Error::diverged(
+        NoSteadyState::Unbounded { time } => Error::diverged(
             format!("the flow is not finite after t = {time:.4}"),
             format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
         ),
-        NoSolution::Flow(NoSteadyState::Adjoint) => {
+        NoSteadyState::Adjoint => {
             Error::diverged("the gradient's equations were not solved".to_string(), finer(config))
         }
     }

@@ -112,7 +112,7 @@ impl<'a> Shape<'a> {
 
 /// A shape that is a curve as a polygon whose edges are a few hundredths of its size.
 fn polygon(entry: &ShapeEntry) -> Vec<[f64; 2]> {
-    if !matches!(entry.kind, Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca) {
+    if !entry.kind.is_curve() {
         return vec![];
     }
     let Some(outline) = Outline::new(entry, 0.0) else { return vec![] };

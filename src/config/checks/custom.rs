@@ -13,8 +13,7 @@ const OF_SHAPES: &str =
 
 /// The first of some numbers that belongs to a curve.
 fn numbers_of_curves(shapes: &[ShapeEntry], numbers: &[ShapeNumber]) -> Option<usize> {
-    let is_curve = |kind: Kind| matches!(kind, Kind::Ellipse | Kind::Spline | Kind::BSpline | Kind::Naca);
-    numbers.iter().position(|number| is_curve(shapes[number.shape].kind))
+    numbers.iter().position(|number| shapes[number.shape].kind.is_curve())
 }
 
 impl Config {
@@ -66,6 +65,14 @@ impl Config {
         }
         for (place, shape) in self.shapes.iter().enumerate() {
             shape.check(place, d, has_heat, self.wall_formula())?;
+            let is_plane = if self.is_around_shapes() { shape.kind == Kind::File } else { shape.kind.is_curve() };
+            if d == 3 && is_plane {
+                let (key, shown) = (format!("shapes[{place}].kind"), shape.kind.shown());
+                return Err(bad(&key, format!("{shown} in three dimensions")).allowed(
+                    "box, disc, cylinder, polyline, polygon; where with particles that move; ellipse, spline, b-spline, naca, \
+                     along all of z, with method.name = fixed",
+                ));
+            }
         }
         Ok(())
     }
@@ -73,6 +80,11 @@ impl Config {
     /// Whether particles are fixed around shapes, and the flow is steady.
     pub fn is_around_shapes(&self) -> bool {
         self.scene == Family::Custom && !self.method.facts().moves
+    }
+
+    /// The same in three dimensions.
+    pub fn is_around_bodies(&self) -> bool {
+        self.is_around_shapes() && self.region.size.len() == 3
     }
 
     /// The keys of fixed particles of a flow that goes on in time, if it does.
@@ -156,10 +168,8 @@ impl Config {
     pub(super) fn check_around_shapes(&self) -> Result<(), BadInput> {
         let (region, d) = (&self.region, self.dimension());
         let bad = |key: &str, problem: String| BadInput::at(key, format!("{key} {problem}"));
-        if d != 2 {
-            return Err(bad("region.size", format!("= {:?} with method.name = fixed", region.size))
-                .allowed("two lengths; three with method.name = consistent or standard")
-                .advice("method.name=consistent"));
+        if d == 3 {
+            self.check_around_bodies()?;
         }
         for (k, shape) in self.shapes.iter().enumerate() {
             let key = format!("shapes[{k}]");
@@ -190,10 +200,13 @@ impl Config {
             let key = |more: &str| format!("region.sides.{name}.{more}");
             let needs_velocity = side.kind == SideKind::Inflow;
             let may_velocity = matches!(side.kind, SideKind::Inflow | SideKind::Wall);
+            if k / 2 >= d {
+                return Err(bad(&format!("region.sides.{name}"), "in two dimensions".into())
+                    .allowed("left, right, bottom, top; back and front in three dimensions"));
+            }
             if needs_velocity && side.velocity.is_none() {
-                return Err(
-                    bad(&key("velocity"), "is missing".into()).allowed("two formulas, such as [\"4*y*(1 - y)\", 0]")
-                );
+                return Err(bad(&key("velocity"), "is missing".into())
+                    .allowed(format!("{d} formulas, such as [\"4*y*(1 - y)\", 0]")));
             }
             if !may_velocity && (side.velocity.is_some() || side.temperature.is_some() || side.heat_flux.is_some()) {
                 return Err(bad(&key("kind"), "has neither velocity nor temperature nor heat_flux".into())
@@ -235,6 +248,35 @@ impl Config {
         self.check_objective_of_shapes(has_heat)
     }
 
+    /// What fixed particles do not have in three dimensions.
+    fn check_around_bodies(&self) -> Result<(), BadInput> {
+        let bad = |key: &str, problem: &str| BadInput::at(key, format!("{key} {problem} in three dimensions"));
+        const IN_PLANE: &str = "a scene in two dimensions";
+        if self.unsteady().is_some() {
+            return Err(bad("method.flow", "= unsteady").allowed("steady").advice("method.flow=steady"));
+        }
+        if self.fluid.expansion != 0.0 {
+            return Err(bad("fluid.expansion", "with method.name = fixed").allowed(IN_PLANE));
+        }
+        for (key, x) in [("resolution.far", self.resolution.far), ("resolution.growth", self.resolution.growth)] {
+            if x.is_some() {
+                return Err(bad(key, "with method.name = fixed").allowed(IN_PLANE));
+            }
+        }
+        let objective = &self.objective;
+        let terms = objective.terms.iter().enumerate().map(|(k, term)| (format!("objective.terms[{k}].kind"), term.kind));
+        let limits = self.limits.iter().enumerate().map(|(k, limit)| (format!("limits[{k}].kind"), limit.kind));
+        for (key, kind) in terms.chain(limits).chain([("objective.kind".to_string(), objective.kind)]) {
+            use ObjectiveKind::{Area, Dissipation, Distance, Torque};
+            if kind.is_probe() || matches!(kind, Torque | Dissipation | Area | Distance) {
+                let shown = serde_json::to_value(kind).unwrap_or_default();
+                return Err(bad(&key, &format!("= {}", shown.as_str().unwrap_or_default()))
+                    .allowed("flow-rate, drag, lift, lift-over-drag, shape-heat, heat-outflow, pressure-drop; limits: volume too"));
+            }
+        }
+        Ok(())
+    }
+
     fn check_objective_of_shapes(&self, has_heat: bool) -> Result<(), BadInput> {
         let objective = &self.objective;
         let one = |key: &str, asked: &Asked, limit: bool| {
@@ -267,8 +309,12 @@ impl Config {
                     .advice("initial.temperature=0.0"));
             }
             match kind {
-                ObjectiveKind::Area | ObjectiveKind::Distance if !limit => {
-                    Err(bad("area and distance are for limits").allowed("[[limits]] with at_least or at_most"))
+                ObjectiveKind::Area | ObjectiveKind::Distance | ObjectiveKind::Volume if !limit => {
+                    Err(bad("area, distance and volume are for limits")
+                        .allowed("[[limits]] with at_least or at_most"))
+                }
+                ObjectiveKind::Volume if self.dimension() == 2 => {
+                    Err(bad("volume in two dimensions").allowed("area"))
                 }
                 ObjectiveKind::OutletTemperature | ObjectiveKind::WallHeat => {
                     Err(bad("this figure belongs to moving particles")

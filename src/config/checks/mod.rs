@@ -50,7 +50,9 @@ impl Schema for Config {
             heat_flux: Some(Formula("1".into())),
             ..Side::default()
         });
-        config.region.sides = Sides { left: side.clone(), right: side.clone(), bottom: side.clone(), top: side };
+        let [back, front] = [side.clone(), side.clone()];
+        config.region.sides =
+            Sides { left: side.clone(), right: side.clone(), bottom: side.clone(), top: side, back, front };
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
         config.initial.temperature = Some(Formula("1 + x".into()));
         config.exact.temperature = Some(Formula("1 + x".into()));

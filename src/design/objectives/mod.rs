@@ -145,6 +145,7 @@ impl Figure {
             ObjectiveKind::VelocityX => ("velocity", "velocity_x", "velocity along x at the probe", "u"),
             ObjectiveKind::VelocityY => ("velocity", "velocity_y", "velocity along y at the probe", "u"),
             ObjectiveKind::Area => ("area", "area", "area of shapes", "length^2"),
+            ObjectiveKind::Volume => ("volume", "volume", "volume of shapes", "length^3"),
             ObjectiveKind::Distance => ("distance", "distance", "smallest distance", "length"),
             ObjectiveKind::OutletTemperature => {
                 ("outlet temperature", "T", "mixed outlet temperature above the inlet's", "scene units")

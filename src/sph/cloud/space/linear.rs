@@ -3,11 +3,14 @@
 //! With the rows of momentum K, G and those of continuity D, S of the four unknowns at each particle,
 //!
 //! ```text
-//!   A = | K  G |      P = | K  G |      X = -1 / nu: the Schur complement S - D K^-1 G of a slow flow is -1 / nu times an
-//!       | D  S |          | 0  X |      operator near the identity (Silvester and Wathen 1994; Elman, Silvester and Wathen 2014).
+//!   A = | K  G |      P = | K  G |      X^-1 = nu - (u . grad) lap^-1.
+//!       | D  S |          | 0  X |
 //! ```
 //!
-//! K^-1 is GMRES again with incomplete factors, to a tenth; so the outer iteration is a flexible one (Saad 1993). A pair of particles
+//! X is near the Schur complement S - D K^-1 G: of a slow flow this is an operator near 1 / nu, and of others the slopes nearly commute
+//! with K, "pressure convection-diffusion" (Silvester and Wathen 1994; Kay, Loghin and Wathen 2002; Elman, Silvester and Wathen 2014).
+//!
+//! K^-1 and lap^-1 are GMRES again with incomplete factors, to a tenth; so the outer iteration is a flexible one (Saad 1993). A pair of particles
 //! has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
 //! `[N, 4]`, and behind them the numbers of the whole flow: lambda and a drive, as a border of the matrix.
 
@@ -49,6 +52,10 @@ pub struct Linear {
     viscosity: f64,
     /// Whether the pressure is given at a particle.
     given: Vec<bool>,
+    /// The velocity of particles inside, 0 at others; none of a flow at rest.
+    velocity: Option<Vec<[f64; 3]>>,
+    /// The Laplacian inside, the slope across the boundary at walls.
+    laplace: BlockMatrix,
 }
 
 impl Linear {
@@ -56,6 +63,8 @@ impl Linear {
         let n = equations.particles();
         let (mut first, mut column, mut pairs) = (vec![0], vec![], vec![]);
         let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
+        let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.stencils.matrix(1) };
         for i in 0..n {
             let motion = equations.condition(i).map(|condition| condition.motion);
             let u = state.velocity(i);
@@ -74,6 +83,26 @@ impl Linear {
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
                 column.push(j as u32);
                 pairs.push(pair);
+                if !is_at_rest {
+                    let value = match equations.condition(i) {
+                        None => laplacian(&c),
+                        Some(Condition { motion: Motion::Outflow(_), .. }) => 0.0,
+                        Some(Condition { normal, .. }) => dot(*normal, &c) / equations.stencils.scale(i),
+                    };
+                    let (entry, diagonal) = (laplace.entry(i, j as u32), laplace.entry(i, i as u32));
+                    laplace.values[entry] += value;
+                    laplace.values[diagonal] -= value;
+                }
+            }
+            if !is_at_rest {
+                // Where no pressure is given, a constant is left; this is small beside all others.
+                let diagonal = laplace.entry(i, i as u32);
+                let scale = equations.stencils.scale(i);
+                laplace.values[diagonal] -= match motion {
+                    Some(Motion::Outflow(_)) => 1.0 / (scale * scale),
+                    None => 1e-6 / (scale * scale),
+                    Some(_) => 0.0,
+                };
             }
             first.push(column.len());
             let mut take = Takes { carries: [1.0; 3], pushes: 0.0, flows: 1.0 };
@@ -100,7 +129,10 @@ impl Linear {
             own.push(block);
         }
         let given = takes.iter().map(|take| take.flows == 0.0).collect();
-        Self { transposed: false, first, column, pairs, takes, own, viscosity: equations.viscosity, given }
+        let moving = |i: usize| if i < equations.inside { state.velocity(i) } else { [0.0; 3] };
+        let velocity = (!is_at_rest).then(|| (0..n).map(moving).collect());
+        let viscosity = equations.viscosity;
+        Self { transposed: false, first, column, pairs, takes, own, viscosity, given, velocity, laplace }
     }
 
     fn particles(&self) -> usize {
@@ -108,8 +140,11 @@ impl Linear {
     }
 
     /// The transpose: pairs by their second particle.
-    pub fn transposed(self) -> Self {
+    pub fn transposed(mut self) -> Self {
         let n = self.particles();
+        if self.velocity.is_some() {
+            self.laplace.transpose();
+        }
         let mut first = vec![0; n + 1];
         self.column.iter().for_each(|&j| first[j as usize + 1] += 1);
         (0..n).for_each(|j| first[j + 1] += first[j]);
@@ -177,6 +212,22 @@ impl Linear {
         y
     }
 
+    /// (u . grad) f of a field, or its transpose.
+    fn carried(&self, velocity: &[[f64; 3]], f: &[f64]) -> Vec<f64> {
+        let along = |u: [f64; 3], [_, gx, gy, gz, _]: [f64; 5]| u[0] * gx + u[1] * gy + u[2] * gz;
+        let mut found = vec![0.0; f.len()];
+        for i in 0..f.len() {
+            for e in self.first[i]..self.first[i + 1] {
+                let j = self.column[e] as usize;
+                let from = if self.transposed { j } else { i };
+                let by = along(velocity[from], self.pairs[e]);
+                found[i] += by * f[j];
+                found[from] -= by * f[from];
+            }
+        }
+        found
+    }
+
     /// What the pressures push in the rows of momentum: G p, or D^T p.
     fn pushed(&self, p: &[f64]) -> Vec<f64> {
         let x: Vec<f64> = p.iter().flat_map(|p| [0.0, 0.0, 0.0, *p]).collect();
@@ -221,6 +272,8 @@ pub struct System {
     /// K with its factors, of each component of the velocity (by index).
     carrying: Vec<(BlockMatrix, IncompleteLu<1>)>,
     which: [usize; 3],
+    /// Factors of the Laplacian.
+    laplace: Option<IncompleteLu<1>>,
     /// Solutions of the preconditioner with each column.
     solved: Vec<Vec<f64>>,
 }
@@ -244,7 +297,8 @@ impl System {
             let factors = IncompleteLu::new(&matrix)?;
             carrying.push((matrix, factors));
         }
-        let mut system = Self { linear, columns, rows, corner, threads, carrying, which, solved: vec![] };
+        let laplace = linear.velocity.as_ref().map(|_| IncompleteLu::new(&linear.laplace)).transpose()?;
+        let mut system = Self { linear, columns, rows, corner, threads, carrying, which, laplace, solved: vec![] };
         system.solved = system.columns.iter().map(|column| system.inner(column)).collect();
         Ok(system)
     }
@@ -267,20 +321,34 @@ impl System {
         y
     }
 
+    /// X^-1 of residuals of continuity; where the pressure is given, themselves.
+    fn pressure(&self, right: Vec<f64>) -> Vec<f64> {
+        let linear = &self.linear;
+        let solved = |right: &[f64], factors: &IncompleteLu<1>| {
+            let times = |x: &[f64]| linear.laplace.times_on(x, self.threads);
+            gmres(right, INNER, INNER_PRODUCTS, &times, &|x| factors.solve(x)).unwrap_or_else(|| factors.solve(right))
+        };
+        let free: Vec<f64> = right.iter().zip(&linear.given).map(|(x, given)| if *given { 0.0 } else { *x }).collect();
+        let carried = match (&linear.velocity, &self.laplace) {
+            (Some(velocity), Some(factors)) if linear.transposed => solved(&linear.carried(velocity, &free), factors),
+            (Some(velocity), Some(factors)) => {
+                // The slope across walls is 0.
+                let inside: Vec<f64> =
+                    (0..free.len()).map(|i| if linear.takes[i].pushes > 0.0 { free[i] } else { 0.0 }).collect();
+                linear.carried(velocity, &solved(&inside, factors))
+            }
+            _ => vec![0.0; free.len()],
+        };
+        (0..free.len())
+            .map(|i| if linear.given[i] { right[i] } else { linear.viscosity * free[i] - carried[i] })
+            .collect()
+    }
+
     /// P^-1 of a vector without border.
     fn inner(&self, right: &[f64]) -> Vec<f64> {
         let linear = &self.linear;
         let n = linear.particles();
-        let pressure: Vec<f64> = (0..n)
-            .map(|i| {
-                let right = right[FLOW * i + PRESSURE];
-                if linear.given[i] {
-                    right
-                } else {
-                    -linear.viscosity * right
-                }
-            })
-            .collect();
+        let pressure = self.pressure((0..n).map(|i| right[FLOW * i + PRESSURE]).collect());
         let pushed = linear.pushed(&pressure);
         let of = |e: usize| {
             let right: Vec<f64> = (0..n).map(|i| right[FLOW * i + e] - pushed[FLOW * i + e]).collect();

@@ -205,6 +205,18 @@ impl Cloud {
         Ok(Shaped { numbers: numbers.to_vec(), position, area, volume, conditions, operators })
     }
 
+    /// The volume of a shape, with its derivative by one of its numbers.
+    pub fn volume_of(&self, shape: usize, numbers: &[f64], by: Option<usize>) -> Dual {
+        let surface = &self.ground.surfaces[shape];
+        let numbers: Vec<Dual> =
+            numbers.iter().enumerate().map(|(n, &x)| Dual::new(x, if Some(n) == by { 1.0 } else { 0.0 })).collect();
+        let own = self.places.boundary.iter().filter_map(|point| point.on.filter(|on| on.0 == shape));
+        let of = |(_, spot): (usize, super::surface::Spot)| {
+            surface.volume(&surface.at(&spot, &numbers), self.centre[shape])
+        };
+        own.map(of).fold(Dual::new(0.0, 0.0), |sum, x| sum + x)
+    }
+
     /// Nearest neighbours must stay apart and on their side: 0.4 of their reference distance along it.
     fn check_folds(&self, position: &[Vec<f64>; 3]) -> Result<(), Unusable> {
         for i in 0..self.particles() {

@@ -115,6 +115,7 @@ impl Solver {
                 return self.settle_heat(operators, state);
             }
             last = largest;
+            log::debug!("Newton: residual {largest:.2e} after {} iterations", self.counts.iterations);
             let linear = Linear::new(&self.equations, state, &d, operators);
             let system = System::new(linear, self.border(state, &d, operators, held), self.threads)?;
             self.counts.bytes = system.bytes();
