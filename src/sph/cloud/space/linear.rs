@@ -54,7 +54,8 @@ pub struct Linear {
     given: Vec<bool>,
     /// The velocity of particles inside, 0 at others; none of a flow at rest.
     velocity: Option<Vec<[f64; 3]>>,
-    /// The Laplacian inside, the slope across the boundary at walls.
+    /// A Laplacian of positive weights, 4.8 / h^2 times the mean of f_j - f_i by the fits' W (whose mean of s^2 is 1.25). At walls, whose
+    /// neighbours are on one side, it is a slope. It only serves the preconditioner, where the fits' own would converge slowly.
     laplace: BlockMatrix,
 }
 
@@ -69,6 +70,8 @@ impl Linear {
             let motion = equations.condition(i).map(|condition| condition.motion);
             let u = state.velocity(i);
             let mut sum = [0.0; 5];
+            let scale = equations.stencils.scale(i);
+            let weights: f64 = (0..equations.stencils.count(i)).map(|k| equations.stencils.pair(i, k).1).sum();
             for k in 0..equations.stencils.count(i) {
                 let (j, c) = (equations.stencils.neighbour(i, k), operators.of(i, k));
                 if j == i {
@@ -83,12 +86,8 @@ impl Linear {
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
                 column.push(j as u32);
                 pairs.push(pair);
-                if !is_at_rest {
-                    let value = match equations.condition(i) {
-                        None => laplacian(&c),
-                        Some(Condition { motion: Motion::Outflow(_), .. }) => 0.0,
-                        Some(Condition { normal, .. }) => dot(*normal, &c) / equations.stencils.scale(i),
-                    };
+                if !is_at_rest && !matches!(motion, Some(Motion::Outflow(_))) {
+                    let value = 4.8 * equations.stencils.pair(i, k).1 / (weights * scale * scale);
                     let (entry, diagonal) = (laplace.entry(i, j as u32), laplace.entry(i, i as u32));
                     laplace.values[entry] += value;
                     laplace.values[diagonal] -= value;
@@ -97,7 +96,6 @@ impl Linear {
             if !is_at_rest {
                 // Where no pressure is given, a constant is left; this is small beside all others.
                 let diagonal = laplace.entry(i, i as u32);
-                let scale = equations.stencils.scale(i);
                 laplace.values[diagonal] -= match motion {
                     Some(Motion::Outflow(_)) => 1.0 / (scale * scale),
                     None => 1e-6 / (scale * scale),
@@ -229,9 +227,9 @@ impl Linear {
     }
 
     /// What the pressures push in the rows of momentum: G p, or D^T p.
-    fn pushed(&self, p: &[f64]) -> Vec<f64> {
+    fn pushed(&self, p: &[f64], threads: usize) -> Vec<f64> {
         let x: Vec<f64> = p.iter().flat_map(|p| [0.0, 0.0, 0.0, *p]).collect();
-        self.times(&x, 1)
+        self.times(&x, threads)
     }
 
     /// Whether K is the same for two components of the velocity.
@@ -349,7 +347,7 @@ impl System {
         let linear = &self.linear;
         let n = linear.particles();
         let pressure = self.pressure((0..n).map(|i| right[FLOW * i + PRESSURE]).collect());
-        let pushed = linear.pushed(&pressure);
+        let pushed = linear.pushed(&pressure, self.threads);
         let of = |e: usize| {
             let right: Vec<f64> = (0..n).map(|i| right[FLOW * i + e] - pushed[FLOW * i + e]).collect();
             let (matrix, factors) = &self.carrying[self.which[e]];

@@ -120,7 +120,7 @@ impl Solver {
             let system = System::new(linear, self.border(state, &d, operators, held), self.threads)?;
             self.counts.bytes = system.bytes();
             let right: Vec<f64> = residual.iter().map(|x| -x).collect();
-            let tolerance = (0.1 * largest / scale).clamp(1e-6, 1e-3);
+            let tolerance = (0.1 * largest / scale).clamp(1e-5, 1e-2);
             let change = system.solve(&right, tolerance, self.weight(), &mut self.counts.iterations);
             let change = change.ok_or(NoSteadyState::Diverged { residual: largest })?;
             self.counts.steps += 1;
