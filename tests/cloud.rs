@@ -15,6 +15,7 @@ use hydrograd::scene::shape_search::{Epoch, Search};
 use hydrograd::sph::cloud::composed::residual;
 use hydrograd::sph::cloud::equations::{Bar, State};
 use hydrograd::sph::cloud::figures::Figure;
+use hydrograd::sph::cloud::interpolation::Interpolation;
 use hydrograd::sph::cloud::nearest::{Nearest, Plane};
 use hydrograd::sph::cloud::outline::{area, Outline};
 use std::path::Path;
@@ -274,6 +275,47 @@ fn fits_are_exact_for_quadratics_and_what_they_leave_vanishes() {
         let worst = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-8, "particle {i}: {found:?}");
     }
+}
+
+#[test]
+fn quadratic_fields_are_interpolated_exactly_and_walls_hide_what_is_inside() {
+    let around = AroundShapes::new(&loaded(SIDES)).unwrap();
+    let cloud = &around.flow.cloud;
+    // Of shapes that moved: the ellipse up, the disc larger.
+    let mut numbers = cloud.numbers();
+    numbers[0][1] += 0.004;
+    numbers[1][2] += 0.003;
+    let shaped = cloud.shaped(&numbers).unwrap();
+    let value = |x: f64, y: f64| 1.0 + 2.0 * x - y + 3.0 * x * x + x * y - 2.0 * y * y;
+    let [x, y] = &shaped.position;
+    let f: Vec<f64> = x.iter().zip(y).map(|(x, y)| value(*x, *y)).collect();
+    let d: Vec<_> =
+        (0..cloud.particles()).map(|i| shaped.operators.derivatives(&cloud.stencils, i, &f)).collect();
+    let all = Interpolation::new(cloud, &shaped);
+    let (mut inside, mut hidden) = (0, 0);
+    let mut draw = noise(5);
+    for _ in 0..4000 {
+        let p = cloud.ground.plane.size.map(|size| size * (0.5 + 0.5 * draw()));
+        let is_in_disc = (p[0] - 0.7).hypot(p[1] - 0.2) < 0.063;
+        match all.sample(p) {
+            None => hidden += 1,
+            Some(sample) => {
+                inside += 1;
+                assert!(!is_in_disc, "{p:?}");
+                let found = sample.value(&shaped.position, &f, &d);
+                assert!((found - value(p[0], p[1])).abs() < 1e-10, "{p:?}: {found}");
+                let slope = sample.slope(&shaped.position, &d);
+                let exact = [2.0 + 6.0 * p[0] + p[1], -1.0 + p[0] - 4.0 * p[1]];
+                assert!((0..2).all(|k| (slope[k] - exact[k]).abs() < 1e-8), "{p:?}: {slope:?}");
+            }
+        }
+    }
+    // The share of points inside of shapes is that of their areas.
+    let size = cloud.ground.plane.size;
+    let covered = std::f64::consts::PI * (0.1 * 0.07 + 0.063 * 0.063) / (size[0] * size[1]);
+    let share = f64::from(hidden) / f64::from(hidden + inside);
+    assert!((share - covered).abs() < 0.02, "{share} and {covered}");
+    assert_eq!(all.sample([0.5, -0.01]), None);
 }
 
 #[test]

@@ -31,6 +31,8 @@ pub struct Finished<'a, R> {
     pub seconds: f64,
     pub divided: Divided,
     pub recovered: &'a [Recovery],
+    /// Mean heat of each shape; empty where none is known.
+    pub shape_heat: Vec<f64>,
     /// Text about ParaView frames.
     pub pictures: String,
 }
@@ -156,6 +158,10 @@ pub fn report_flow<R: Sweeps>(
     if let Some(error) = pressure_error {
         record.put("pressure_error", error);
     }
+    if !finished.shape_heat.is_empty() {
+        let shapes = finished.shape_heat.iter().map(|heat| serde_json::json!({ "heat": heat }));
+        record.put("shapes", shapes.collect::<Vec<_>>());
+    }
     record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
@@ -167,6 +173,9 @@ pub fn report_flow<R: Sweeps>(
     }
     if let Some(measured) = measured {
         print_measured(&loaded.config, measured);
+    }
+    for (k, heat) in finished.shape_heat.iter().enumerate().filter(|(k, _)| loaded.config.shapes[*k].temperature.is_some()) {
+        println!("heat of shapes[{k}]   {heat:.6}   given to the fluid through its surface, mean of the samples");
     }
     if let Some(error) = found.velocity_error {
         let over = format!(", over {}", scene.exact.amplitude_name());

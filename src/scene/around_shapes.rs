@@ -8,7 +8,7 @@ use crate::config::scene::{Asked, Config, DriveName, Goal, LimitEntry, Objective
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
-use crate::sph::cloud::equations::{Buoyancy, Motion, Warmth};
+use crate::sph::cloud::equations::{Motion, Warmth};
 use crate::sph::cloud::figures::{At, Figure};
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
@@ -16,6 +16,7 @@ use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
 use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
+use crate::sph::laws::buoyancy::Buoyancy;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -152,10 +153,7 @@ impl AroundShapes {
             viscosity: config.kinematic_viscosity(),
             diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
             force: [region.acceleration[0], region.acceleration[1]],
-            buoyancy: (fluid.expansion != 0.0).then(|| Buoyancy {
-                by: [0, 1].map(|e| -fluid.expansion * region.acceleration[e]),
-                at: fluid.reference_temperature.unwrap_or(fluid.inlet_temperature) - fluid.inlet_temperature,
-            }),
+            buoyancy: Buoyancy::new(fluid.expansion, &region.acceleration, config.neutral_temperature()),
             velocity: fluid.reference_velocity,
         };
         let held = match fluid.drive {

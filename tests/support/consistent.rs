@@ -12,6 +12,7 @@ use hydrograd::sph::consistent::layout::Layout;
 use hydrograd::sph::consistent::{Consistent, Fits};
 use hydrograd::sph::flow::{Flow, Heat};
 use hydrograd::sph::kernels::{Kernel, KernelName};
+use hydrograd::sph::laws::buoyancy::Buoyancy;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
 use hydrograd::sph::Sweeps;
@@ -108,6 +109,7 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
             wall_factor: vec![R::default(); n],
             materials: None,
         }),
+        buoyancy: Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04).filter(|_| heat),
         ..Flow::new(domain, vec![tag::FLUID; n], DX, equation_of_state, dt)
     };
     let fits = Fits {

@@ -44,6 +44,11 @@ impl Config {
         }
         let has_heat = initial.temperature.is_some();
         initial.at_start(d)?;
+        if self.fluid.expansion != 0.0 && !has_heat {
+            return Err(BadInput::at("fluid.expansion", "fluid.expansion in a scene without heat")
+                .allowed("with initial.temperature, which gives the scene its heat")
+                .advice("initial.temperature=1.0"));
+        }
         let (_, exact_temperature) = self.exact.of_time(d)?;
         if exact_temperature.is_some() && !has_heat {
             let bad = BadInput::at("exact.temperature", "exact.temperature in a scene without heat");
@@ -140,9 +145,6 @@ impl Config {
         if self.fluid.drive != DriveName::BodyForce {
             return bad("fluid.drive", " that holds something".into());
         }
-        if self.fluid.expansion != 0.0 {
-            return bad("fluid.expansion", String::new());
-        }
         if let Some(k) = self.shapes.iter().position(|shape| !shape.parameters.is_empty()) {
             return bad(&format!("shapes[{k}].parameters"), String::new());
         }
@@ -221,11 +223,6 @@ impl Config {
                 return Err(bad(&key("kind"), format!("and region.periodic = {:?} do not agree", region.periodic))
                     .allowed("region.periodic = true for both sides that are periodic, and false for all others"));
             }
-        }
-        if self.fluid.expansion != 0.0 && !has_heat {
-            return Err(bad("fluid.expansion", "in a scene without heat".into())
-                .allowed("with initial.temperature, which gives the scene its heat")
-                .advice("initial.temperature=1.0"));
         }
         if self.unsteady().is_some() && self.fluid.drive == DriveName::PumpingPower {
             return Err(bad("fluid.drive", "= pumping-power with method.flow = unsteady".into())

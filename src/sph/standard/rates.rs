@@ -128,7 +128,8 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
             };
             let inverse_mass = R::of(1.0) / self.mass.of(i);
             for d in 0..D {
-                let given = R::of(model.body_force.along(d, record[1].f64()));
+                let temperature = || record[record_temperature(D, W::TRANSPORT)].f64();
+                let given = R::of(model.given(d, record[1].f64(), temperature));
                 self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
                 if W::TRANSPORT {
                     self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
@@ -321,7 +322,11 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
             for k in 0..d {
                 let a = self.rates_bar[k * n + i];
                 bar[k] = a * inverse_mass;
-                let given = R::of(model.body_force.along(k, self.moved[n + i].f64()));
+                let temperature = l.moved_temperature() * n + i;
+                let given = R::of(model.given(k, self.moved[n + i].f64(), || self.moved[temperature].f64()));
+                if let Some(buoyancy) = &model.buoyancy {
+                    self.moved_bar.add(temperature, R::of(buoyancy.by[k]) * a);
+                }
                 if l.mass {
                     power += a * (self.rates[k * n + i] - given);
                 }
@@ -407,7 +412,7 @@ pub fn composed<R: Real>(
         mass: mass.clone(),
     };
     let mut sums = PairTensors::default();
-    let given = model.body_force.vector(&moved.narrow(0, 0, d)?)?;
+    let given = model.given_composed(&moved.narrow(0, 0, d)?, moved, l.moved_temperature())?;
     if let Flux::Riemann(law) = &model.laws.flux {
         let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
         let velocity = moved.narrow(0, l.velocity(), d)?;
