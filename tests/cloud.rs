@@ -289,8 +289,7 @@ fn quadratic_fields_are_interpolated_exactly_and_walls_hide_what_is_inside() {
     let value = |x: f64, y: f64| 1.0 + 2.0 * x - y + 3.0 * x * x + x * y - 2.0 * y * y;
     let [x, y] = &shaped.position;
     let f: Vec<f64> = x.iter().zip(y).map(|(x, y)| value(*x, *y)).collect();
-    let d: Vec<_> =
-        (0..cloud.particles()).map(|i| shaped.operators.derivatives(&cloud.stencils, i, &f)).collect();
+    let d: Vec<_> = (0..cloud.particles()).map(|i| shaped.operators.derivatives(&cloud.stencils, i, &f)).collect();
     let all = Interpolation::new(cloud, &shaped);
     let (mut inside, mut hidden) = (0, 0);
     let mut draw = noise(5);

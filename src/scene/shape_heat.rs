@@ -10,10 +10,9 @@
 //! It does not ask the method, whose own exchange with walls has an error of first order in the spacing beside them.
 
 use super::custom::{shapes, surroundings};
-use super::custom_shape::Shape;
 use crate::adjoint::run::Observer;
-use crate::config::custom::Fill;
-use crate::config::scene::Config;
+use crate::config::custom::{Fill, ShapeEntry};
+use crate::config::scene::{Config, Method};
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 use crate::sph::cloud::nearest::{Nearest, Plane};
@@ -24,6 +23,9 @@ use crate::sph::solver::Solver;
 use crate::sph::{Model, Sweeps};
 use std::collections::BTreeSet;
 
+/// With the standard method the temperature of the particles nearest to a wall contains the error of the wall condition: beside a wall with
+/// a linear temperature they make the flux 1.3 % too large at any spacing. In spacings.
+const SKIPPED: f64 = 1.0;
 /// Neighbours may be this far behind a wall's tangent, in spacings: those are on the other side of a thin wall.
 const BEHIND: f64 = 0.5;
 
@@ -46,6 +48,8 @@ pub struct ShapeHeat {
     spacing: f64,
     conductivity: f64,
     shapes: usize,
+    /// Fluid nearer to a surface is left out. Length.
+    skipped: f64,
     pieces: Vec<Piece>,
 }
 
@@ -67,7 +71,7 @@ impl ShapeHeat {
         let mut pieces = vec![];
         for (k, shape) in all.iter().enumerate().filter(|(_, shape)| shape.entry.fill == Fill::Wall) {
             let Some(temperature) = &shape.on_wall.temperature else { continue };
-            for [from, to] in edges(shape) {
+            for [from, to] in edges(&once(shape.entry, &plane)) {
                 let Some([from, to]) = within(&plane, from, to) else { continue };
                 let along = [to[0] - from[0], to[1] - from[1]];
                 let length = along[0].hypot(along[1]);
@@ -78,7 +82,9 @@ impl ShapeHeat {
                     let middle = [from[0] + share * along[0], from[1] + share * along[1]];
                     let beside = |by: f64| [middle[0] + by * normal[0], middle[1] + by * normal[1], 0.0];
                     // Not in another wall or behind a side, and not covered by a later shape.
-                    if walls.distance(beside(0.25 * spacing)) > 0.0 && walls.shape_at(beside(-1e-3 * spacing)) == Some(k) {
+                    if walls.distance(beside(0.25 * spacing)) > 0.0
+                        && walls.shape_at(beside(-1e-3 * spacing)) == Some(k)
+                    {
                         let place = plane.wrapped(middle);
                         let temperature = temperature.at([place[0], place[1], 0.0]) - reference;
                         pieces.push(Piece { shape: k, place, normal, length: length / count, temperature });
@@ -87,15 +93,20 @@ impl ShapeHeat {
             }
         }
         let conductivity = config.fluid.conductivity;
-        let found = Self { plane, spacing, conductivity, shapes: all.len(), pieces };
+        let skipped = if matches!(config.method, Method::Standard(_)) { SKIPPED * spacing } else { 0.0 };
+        let found = Self { plane, spacing, conductivity, shapes: all.len(), skipped, pieces };
         Ok(Some(found).filter(|found| !found.pieces.is_empty()))
     }
 
     /// The heat of each shape per time and depth, given places and temperatures (relative to the reference) of fluid; 0 of shapes
     /// without a temperature. None with too few particles beside a surface.
     pub fn of_fluid(&self, fluid: &[([f64; 2], f64)]) -> Option<Vec<f64>> {
-        let surface = self.pieces.iter().map(|piece| (piece.place, piece.temperature));
-        let (places, field): (Vec<[f64; 2]>, Vec<f64>) = surface.chain(fluid.iter().copied()).unzip();
+        let (walls, warmth): (Vec<[f64; 2]>, Vec<f64>) =
+            self.pieces.iter().map(|piece| (piece.place, piece.temperature)).unzip();
+        let surface = Nearest::new(self.plane, self.spacing, &walls);
+        let counts = |place: [f64; 2]| self.skipped == 0.0 || surface.one(place, self.skipped).is_none();
+        let fluid = fluid.iter().copied().filter(|(place, _)| counts(*place));
+        let (places, field): (Vec<[f64; 2]>, Vec<f64>) = walls.iter().copied().zip(warmth).chain(fluid).unzip();
         let near = Nearest::new(self.plane, self.spacing, &places);
         let position = [0, 1].map(|d| places.iter().map(|place| place[d]).collect::<Vec<f64>>());
         let mut heat = vec![0.0; self.shapes];
@@ -120,10 +131,24 @@ impl ShapeHeat {
     }
 }
 
+/// The shape; of a box that is longer than a period one period, since it touches its own images.
+fn once(entry: &ShapeEntry, plane: &Plane) -> ShapeEntry {
+    let mut once = entry.clone();
+    if let (Some(lower), Some(upper)) = (&mut once.lower, &mut once.upper) {
+        for d in 0..2 {
+            if plane.periodic[d] && upper[d] - lower[d] > plane.size[d] {
+                (lower[d], upper[d]) = (0.0, plane.size[d]);
+            }
+        }
+    }
+    once
+}
+
 /// The edges of a shape's outline, counter-clockwise; none of one without an outline.
-fn edges(shape: &Shape) -> Vec<[[f64; 2]; 2]> {
-    let Some(outline) = Outline::new(shape.entry, 0.0) else { return vec![] };
-    let points: Vec<[f64; 2]> = outline.points(&outline.samples(24), &outline.numbers).iter().map(|p| p.place).collect();
+fn edges(entry: &ShapeEntry) -> Vec<[[f64; 2]; 2]> {
+    let Some(outline) = Outline::new(entry, 0.0) else { return vec![] };
+    let points: Vec<[f64; 2]> =
+        outline.points(&outline.samples(24), &outline.numbers).iter().map(|p| p.place).collect();
     (0..points.len()).map(|k| [points[k], points[(k + 1) % points.len()]]).filter(|[a, b]| a != b).collect()
 }
 

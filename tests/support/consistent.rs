@@ -109,7 +109,6 @@ pub fn box_model<R: Sweeps>(dimension: usize, per_side: usize, heat: bool, shift
             wall_factor: vec![R::default(); n],
             materials: None,
         }),
-        buoyancy: Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04).filter(|_| heat),
         ..Flow::new(domain, vec![tag::FLUID; n], DX, equation_of_state, dt)
     };
     let fits = Fits {
@@ -171,6 +170,14 @@ pub fn verlet<R: Sweeps>(dimension: usize, heat: bool) -> Case<R> {
     let mut normal = Normal::new(stream(dimension as u64, "rates"));
     state.resize_with(model.layout.state_rows() * model.particles(), || normal.next());
     Case { name: format!("{}, verlet", case.name), model: Arc::new(model), state }
+}
+
+/// The same with buoyancy.
+pub fn buoyant<R: Sweeps>(case: Case<R>) -> Case<R> {
+    let Consistent { flow, layout, fits, .. } = Arc::into_inner(case.model).unwrap();
+    let buoyancy = Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04);
+    let model = Consistent::new(Flow { buoyancy, ..flow }, layout, fits);
+    Case { name: format!("{}, buoyancy", case.name), model: Arc::new(model), ..case }
 }
 
 /// The heated channel of the defaults over a curved wall, with settings.

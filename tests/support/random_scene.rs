@@ -153,7 +153,8 @@ impl RandomScene {
                 true => BodyForce::Gravity([0.7, -2.3, 1.1]),
                 false => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
             },
-            buoyancy: Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04).filter(|_| options.seed % 2 == 1 || options.seed % 5 == 2),
+            buoyancy: Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04)
+                .filter(|_| options.seed % 2 == 1 || options.seed % 5 == 2),
             walls_slide: options.seed % 3 == 1,
         }
     }

@@ -111,21 +111,30 @@ impl Config {
                 .allowed(format!("leave it out, or {needs}"))
                 .advice("method.name=fixed"))
         };
-        if objective.kind.is_of_shapes() {
+        // The heat of shapes is measured of moving particles too, but not differentiated.
+        let is_measured = objective.kind == ObjectiveKind::ShapeHeat
+            && self.variables.is_empty()
+            && self.dimension() == 2
+            && self.has_heat();
+        if objective.kind.is_of_shapes() && !is_measured {
             return Err(BadInput::at(
                 "objective.kind",
                 format!("objective.kind with method.name = {}", self.method.name()),
             )
-            .allowed(format!("flow-rate, heat-outflow, outlet-temperature or wall-heat; figures of shapes {needs}"))
+            .allowed(format!("flow-rate, heat-outflow, outlet-temperature or wall-heat; shape-heat in two dimensions and without variables; figures of shapes {needs}"))
             .advice("method.name=fixed, or objective.kind=flow-rate"));
         }
-        if !objective.shapes.is_empty() || !objective.terms.is_empty() || objective.goal != Goal::Larger {
-            let key = match (objective.shapes.is_empty(), objective.terms.is_empty()) {
+        let names_shapes = !objective.shapes.is_empty() && !is_measured;
+        if names_shapes || !objective.terms.is_empty() || objective.goal != Goal::Larger {
+            let key = match (!names_shapes, objective.terms.is_empty()) {
                 (false, _) => "objective.shapes",
                 (_, false) => "objective.terms",
                 _ => "objective.goal",
             };
             return bad(key, String::new());
+        }
+        if let Some(wrong) = objective.shapes.iter().find(|&&k| k >= self.shapes.len()) {
+            return bad("objective.shapes", format!(": there is no shape {wrong},"));
         }
         if !self.limits.is_empty() {
             return bad("limits", String::new());

@@ -278,7 +278,14 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
                 }
             }
             if W::HEAT {
-                self.primitives_bar.set(l.primitive_temperature() * n + i, bar.temperature.sum());
+                let mut temperature_bar = bar.temperature.sum();
+                if let Some(buoyancy) = &model.buoyancy {
+                    // (The records have the cotangents over the mass, zeros for walls.)
+                    for d in 0..D {
+                        temperature_bar += R::of(buoyancy.by[d]) * self.bars.of(i)[d] * self.mass.of(i);
+                    }
+                }
+                self.primitives_bar.set(l.primitive_temperature() * n + i, temperature_bar);
             }
             self.primitives_bar.set(i, density_bar);
             if l.mass {
@@ -324,9 +331,6 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
                 bar[k] = a * inverse_mass;
                 let temperature = l.moved_temperature() * n + i;
                 let given = R::of(model.given(k, self.moved[n + i].f64(), || self.moved[temperature].f64()));
-                if let Some(buoyancy) = &model.buoyancy {
-                    self.moved_bar.add(temperature, R::of(buoyancy.by[k]) * a);
-                }
                 if l.mass {
                     power += a * (self.rates[k * n + i] - given);
                 }
@@ -412,7 +416,7 @@ pub fn composed<R: Real>(
         mass: mass.clone(),
     };
     let mut sums = PairTensors::default();
-    let given = model.given_composed(&moved.narrow(0, 0, d)?, moved, l.moved_temperature())?;
+    let given = model.given_composed(&moved.narrow(0, 0, d)?, primitives, l.primitive_temperature())?;
     if let Flux::Riemann(law) = &model.laws.flux {
         let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
         let velocity = moved.narrow(0, l.velocity(), d)?;
