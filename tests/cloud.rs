@@ -318,6 +318,27 @@ fn quadratic_fields_are_interpolated_exactly_and_walls_hide_what_is_inside() {
 }
 
 #[test]
+fn pictures_have_the_flow_beside_the_bodies() {
+    let mut around = AroundShapes::new(&loaded(SIDES)).unwrap();
+    let solution = around.solve(&[]).unwrap();
+    let map = around.map(&solution);
+    let hidden = map.speed.values.iter().filter(|x| x.is_nan()).count() as f64;
+    let covered = std::f64::consts::PI * (0.1 * 0.07 + 0.06 * 0.06) / 0.5;
+    assert!((hidden / map.speed.values.len() as f64 / covered - 1.0).abs() < 0.02, "{hidden}");
+    // At the left side 1 + y and 0.1 are given: along a column there the speed and the vorticity dv/dx - du/dy.
+    let [columns, rows] = map.speed.cells;
+    for row in [rows / 4, rows / 2, rows - 1] {
+        let y = 0.5 * (row as f64 + 0.5) / rows as f64;
+        let found = map.speed.values[row * columns];
+        assert!((found - (1.0 + y).hypot(0.1)).abs() < 0.05, "y = {y}: {found}");
+    }
+    let inner = |p: &[f64; 2]| (p[0] - 0.7).hypot(p[1] - 0.2) > 0.06 - 1e-3;
+    assert!(map.streamlines.len() > 10 && map.streamlines.iter().flatten().all(inner));
+    assert_eq!(map.walls.len(), 2);
+    assert!(map.temperature.is_some() && map.vorticity.values.len() == columns * rows);
+}
+
+#[test]
 fn fits_at_walls_are_exact_for_cubics_and_their_adjoint_is_their_derivative() {
     let around = AroundShapes::new(&loaded(SIDES)).unwrap();
     let cloud = &around.flow.cloud;

@@ -171,7 +171,8 @@ fn between_warm_walls_the_flow_is_exact() {
                 if tolerance < 1e-2 { config(&flat) } else { loaded_with(&flat, &["method.name=standard"]).unwrap() };
             let heat = ShapeHeat::of_config(&config).unwrap().unwrap().of_state(&scene.model, &solver.state).unwrap();
             // T falls by 1 over 1 along a height of 0.7.
-            assert!((heat[0] - 0.7).abs() < 2e-3 && (heat[1] + 0.7).abs() < 2e-3, "{}: {heat:?}", scene.model.name());
+            let off = (heat[0] / 0.7 - 1.0).abs().max((heat[1] / 0.7 + 1.0).abs());
+            assert!(off < 0.2 * tolerance.max(5e-3), "{}: {heat:?}", scene.model.name());
         }
     }
 }

@@ -14,6 +14,7 @@ pub mod custom_shape;
 pub mod developed;
 pub mod distance;
 pub mod exact;
+pub mod field_map;
 pub mod figures;
 mod flaws;
 pub mod flows;
