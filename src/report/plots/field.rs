@@ -47,11 +47,15 @@ pub struct FieldPanel<'a> {
 /// # Errors
 /// [`FileError::Input`] if there is no panel, a range is empty, or lengths do not fit; system errors.
 pub fn fields(stem: &Path, label: &str, panels: &[FieldPanel], (low, high): (f64, f64), is_signed: bool) -> Saved {
-    let Some(FieldPanel { field: first, .. }) = panels.first() else {
+    if panels.is_empty() {
         return Err(FileError::input(stem, "there is no panel", "at least one"));
+    }
+    // All of every panel.
+    let corner = |end: usize, of: fn(f64, f64) -> f64| {
+        [0, 1].map(|d| panels.iter().map(|panel| panel.field.corners[end][d]).reduce(of).unwrap_or_default())
     };
-    let [from, to] = first.corners;
-    let (x, y) = ((from[0], to[0]), (from[1], to[1]));
+    let corners = [corner(0, f64::min), corner(1, f64::max)];
+    let [x, y] = [0, 1].map(|d| (corners[0][d], corners[1][d]));
     check_ranges(stem, [("value", (low, high)), ("x", x), ("y", y)])?;
     if let Some(panel) =
         panels.iter().find(|panel| panel.field.values.len() != panel.field.cells[0] * panel.field.cells[1])
@@ -93,7 +97,7 @@ pub fn fields(stem: &Path, label: &str, panels: &[FieldPanel], (low, high): (f64
             }
         }
         for wall in panel.walls {
-            let inside = to_pixels(&clipped(wall, first.corners));
+            let inside = to_pixels(&clipped(wall, corners));
             if inside.len() > 2 {
                 drawing.area(inside.clone(), WALL_GREY, 1.0);
                 drawing.line([&inside[..], &inside[..1]].concat(), WALL_EDGE, 1.2);
@@ -108,14 +112,15 @@ pub fn fields(stem: &Path, label: &str, panels: &[FieldPanel], (low, high): (f64
 /// Fills cells of the same colour beside each other as one rectangle.
 fn fill(drawing: &mut Drawing, frame: &PlotArea, field: &Field, color: impl Fn(f64) -> Color) {
     let [columns, rows] = field.cells;
-    let (width, height) = (frame.width / columns as f64, frame.height / rows as f64);
+    let [(left, bottom), (right, top)] = field.corners.map(|[x, y]| frame.map((x, y)));
+    let (width, height) = ((right - left) / columns as f64, (bottom - top) / rows as f64);
     for (row, values) in field.values.chunks(columns).enumerate() {
         let colors: Vec<Option<Color>> = values.iter().map(|x| x.is_finite().then(|| color(*x))).collect();
         let mut first = 0;
         for run in colors.chunk_by(|a, b| a == b) {
             if let Some(color) = run[0] {
                 // y grows upwards. (Rectangles overlap a little: no gaps between them.)
-                let corner = (frame.left + first as f64 * width, frame.top + (rows - 1 - row) as f64 * height);
+                let corner = (left + first as f64 * width, top + (rows - 1 - row) as f64 * height);
                 drawing.rectangle(corner, run.len() as f64 * width, height + 0.25, color, 1.0);
             }
             first += run.len();
