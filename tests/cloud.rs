@@ -749,6 +749,35 @@ fn the_heated_cavity_has_its_nusselt_number() {
     }
 }
 
+/// A floor that meets the sides of the box may be shaped by the numbers that leave its ends in place, with the exact derivative.
+#[test]
+fn a_floor_may_be_shaped_between_its_ends() {
+    let sets = ["resolution.dx=0.05".to_string()];
+    let config = Config::load(Some("shaped-floor"), None, &sets).unwrap().config;
+    let mut around = AroundShapes::new(&config).unwrap();
+    let first = around.first();
+    let solution = around.solve(&first).unwrap();
+    let (value, terms) = around.objective(&solution);
+    let gradient = around.gradient(&solution, &terms).unwrap();
+    let norm = gradient.iter().map(|x| x * x).sum::<f64>().sqrt();
+    for k in [0, 2] {
+        let mut at = |by: f64| {
+            let mut moved = first.clone();
+            moved[k] += by;
+            let solution = around.solve(&moved).unwrap();
+            around.objective(&solution).0
+        };
+        let mut central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
+        let difference = (4.0 * central(5e-4) - central(1e-3)) / 3.0;
+        assert!((difference - gradient[k]).abs() < 1e-7 * norm, "{k}: {} and {difference} of {value}", gradient[k]);
+    }
+    // A point near a side takes the end along.
+    let mut wrong = config.clone();
+    wrong.variables[0].number = "shapes[0].points[6][1]".into();
+    let error = AroundShapes::new(&wrong).err().unwrap().to_string();
+    assert!(error.contains("points[6][1]") && error.contains("leave their ends in place"), "{error}");
+}
+
 #[test]
 fn probes_read_an_exact_flow() {
     // Between plates at 0 and 0.4: u = y (0.4 - y) / (2 nu), p = 0, T = x / 1 is what the walls have.

@@ -155,7 +155,8 @@ fn between_warm_walls_the_flow_is_exact() {
         (consistent(&flat), 1e-3, true),
         (scene(&flat), 3e-2, true),
         (consistent(&deep), 1e-2, false),
-        (scene(&deep), 5e-2, false),
+        // Ten particles across: the standard method's walls are of first order.
+        (scene(&deep), 1e-1, false),
     ] {
         let solver = end(&scene, scene.steps);
         let (l, n) = (scene.model.rows, scene.model.particles());
