@@ -1,6 +1,7 @@
 //! Streamlines of fields whose lines are known.
 
 use hydrograd::numerics::streamlines::streamlines;
+use std::f64::consts::TAU;
 
 const SPACING: f64 = 0.1;
 
@@ -28,7 +29,7 @@ fn lines_of_a_vortex_are_circles_that_are_evenly_spaced() {
         assert!(line.iter().all(|p| (radius(p) / first - 1.0).abs() < 0.01), "{first}");
         // Once around, and not twice.
         let length: f64 = line.windows(2).map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1])).sum();
-        assert!((length / (6.283 * first) - 1.0).abs() < 0.1, "radius {first}: {length}");
+        assert!((length / (TAU * first) - 1.0).abs() < 0.1, "radius {first}: {length}");
         radii.push(first);
     }
     radii.sort_by(f64::total_cmp);

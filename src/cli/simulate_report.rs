@@ -168,8 +168,7 @@ pub fn report_flow<R: Sweeps>(
         record.put("pressure_error", error);
     }
     if !finished.shape_heat.is_empty() {
-        let shapes = finished.shape_heat.iter().map(|heat| serde_json::json!({ "heat": heat }));
-        record.put("shapes", shapes.collect::<Vec<_>>());
+        record.put("heat_of_shapes", &finished.shape_heat);
     }
     let objective = finished.objective_of_shapes();
     if let Some(objective) = objective {
