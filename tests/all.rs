@@ -58,6 +58,7 @@ mod same_states;
 mod scene;
 mod schedule;
 mod slurm;
+mod streamlines;
 mod stress;
 mod study;
 mod summary;

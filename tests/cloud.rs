@@ -15,6 +15,7 @@ use hydrograd::scene::shape_search::{Epoch, Search};
 use hydrograd::sph::cloud::composed::residual;
 use hydrograd::sph::cloud::equations::{Bar, State};
 use hydrograd::sph::cloud::figures::Figure;
+use hydrograd::sph::cloud::interpolation::Interpolation;
 use hydrograd::sph::cloud::nearest::{Nearest, Plane};
 use hydrograd::sph::cloud::outline::{area, Outline};
 use std::path::Path;
@@ -274,6 +275,67 @@ fn fits_are_exact_for_quadratics_and_what_they_leave_vanishes() {
         let worst = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-8, "particle {i}: {found:?}");
     }
+}
+
+#[test]
+fn quadratic_fields_are_interpolated_exactly_and_walls_hide_what_is_inside() {
+    let around = AroundShapes::new(&loaded(SIDES)).unwrap();
+    let cloud = &around.flow.cloud;
+    // Of shapes that moved: the ellipse up, the disc larger.
+    let mut numbers = cloud.numbers();
+    numbers[0][1] += 0.004;
+    numbers[1][2] += 0.003;
+    let shaped = cloud.shaped(&numbers).unwrap();
+    let value = |x: f64, y: f64| 1.0 + 2.0 * x - y + 3.0 * x * x + x * y - 2.0 * y * y;
+    let [x, y] = &shaped.position;
+    let f: Vec<f64> = x.iter().zip(y).map(|(x, y)| value(*x, *y)).collect();
+    let d: Vec<_> = (0..cloud.particles()).map(|i| shaped.operators.derivatives(&cloud.stencils, i, &f)).collect();
+    let all = Interpolation::new(cloud, &shaped);
+    let (mut inside, mut hidden) = (0, 0);
+    let mut draw = noise(5);
+    for _ in 0..4000 {
+        let p = cloud.ground.plane.size.map(|size| size * (0.5 + 0.5 * draw()));
+        let is_in_disc = (p[0] - 0.7).hypot(p[1] - 0.2) < 0.063;
+        match all.sample(p) {
+            None => hidden += 1,
+            Some(sample) => {
+                inside += 1;
+                assert!(!is_in_disc, "{p:?}");
+                let found = sample.value(&shaped.position, &f, &d);
+                assert!((found - value(p[0], p[1])).abs() < 1e-10, "{p:?}: {found}");
+                let slope = sample.slope(&shaped.position, &d);
+                let exact = [2.0 + 6.0 * p[0] + p[1], -1.0 + p[0] - 4.0 * p[1]];
+                assert!((0..2).all(|k| (slope[k] - exact[k]).abs() < 1e-8), "{p:?}: {slope:?}");
+            }
+        }
+    }
+    // The share of points inside of shapes is that of their areas.
+    let size = cloud.ground.plane.size;
+    let covered = std::f64::consts::PI * (0.1 * 0.07 + 0.063 * 0.063) / (size[0] * size[1]);
+    let share = f64::from(hidden) / f64::from(hidden + inside);
+    assert!((share - covered).abs() < 0.02, "{share} and {covered}");
+    assert_eq!(all.sample([0.5, -0.01]), None);
+}
+
+#[test]
+fn pictures_have_the_flow_beside_the_bodies() {
+    let mut around = AroundShapes::new(&loaded(SIDES)).unwrap();
+    let solution = around.solve(&[]).unwrap();
+    let map = around.map(&solution);
+    let hidden = map.speed.values.iter().filter(|x| x.is_nan()).count() as f64;
+    let covered = std::f64::consts::PI * (0.1 * 0.07 + 0.06 * 0.06) / 0.5;
+    assert!((hidden / map.speed.values.len() as f64 / covered - 1.0).abs() < 0.02, "{hidden}");
+    // At the left side 1 + y and 0.1 are given: along a column there the speed and the vorticity dv/dx - du/dy.
+    let [columns, rows] = map.speed.cells;
+    for row in [rows / 4, rows / 2, rows - 1] {
+        let y = 0.5 * (row as f64 + 0.5) / rows as f64;
+        let found = map.speed.values[row * columns];
+        assert!((found - (1.0 + y).hypot(0.1)).abs() < 0.05, "y = {y}: {found}");
+    }
+    let inner = |p: &[f64; 2]| (p[0] - 0.7).hypot(p[1] - 0.2) > 0.06 - 1e-3;
+    assert!(map.streamlines.len() > 10 && map.streamlines.iter().flatten().all(inner));
+    assert_eq!(map.walls.len(), 2);
+    assert!(map.temperature.is_some() && map.vorticity.values.len() == columns * rows);
 }
 
 #[test]
@@ -685,6 +747,35 @@ fn the_heated_cavity_has_its_nusselt_number() {
             assert!((difference - exact[k]).abs() < 3e-6 * norm, "{figure:?} {k}: {} and {difference}", exact[k]);
         }
     }
+}
+
+/// A floor that meets the sides of the box may be shaped by the numbers that leave its ends in place, with the exact derivative.
+#[test]
+fn a_floor_may_be_shaped_between_its_ends() {
+    let sets = ["resolution.dx=0.05".to_string()];
+    let config = Config::load(Some("shaped-floor"), None, &sets).unwrap().config;
+    let mut around = AroundShapes::new(&config).unwrap();
+    let first = around.first();
+    let solution = around.solve(&first).unwrap();
+    let (value, terms) = around.objective(&solution);
+    let gradient = around.gradient(&solution, &terms).unwrap();
+    let norm = gradient.iter().map(|x| x * x).sum::<f64>().sqrt();
+    for k in [0, 2] {
+        let mut at = |by: f64| {
+            let mut moved = first.clone();
+            moved[k] += by;
+            let solution = around.solve(&moved).unwrap();
+            around.objective(&solution).0
+        };
+        let mut central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
+        let difference = (4.0 * central(5e-4) - central(1e-3)) / 3.0;
+        assert!((difference - gradient[k]).abs() < 1e-7 * norm, "{k}: {} and {difference} of {value}", gradient[k]);
+    }
+    // A point near a side takes the end along.
+    let mut wrong = config.clone();
+    wrong.variables[0].number = "shapes[0].points[6][1]".into();
+    let error = AroundShapes::new(&wrong).err().unwrap().to_string();
+    assert!(error.contains("points[6][1]") && error.contains("leave their ends in place"), "{error}");
 }
 
 #[test]

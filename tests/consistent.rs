@@ -1,6 +1,8 @@
 //! The consistent formulation: its operators against an oracle, against differences and against what they must be exact for.
 
-use crate::support::consistent::{box_model, channel, isotropic, noisy_channel, numbers, verlet, vortices, Case, DX};
+use crate::support::consistent::{
+    box_model, buoyant, channel, isotropic, noisy_channel, numbers, verlet, vortices, Case, DX,
+};
 use crate::support::differences::smallest_gap;
 use crate::support::final_sum::{FinalSum, Summed};
 use hydrograd::adjoint::gradient::gradient;
@@ -40,6 +42,9 @@ fn cases<R: Sweeps>() -> Vec<Case<R>> {
         vortices(3, true, isotropic()),
         verlet(2, false),
         verlet(3, true),
+        buoyant(vortices(2, true, isotropic())),
+        buoyant(verlet(3, true)),
+        buoyant(noisy_channel(&[])),
         noisy_channel(&["method.integrator=verlet", "time.cfl=1"]),
         noisy_channel(&["method.integrator=verlet", "time.cfl=1", "fluid.drive=flow-rate"]),
         noisy_channel(&[]),
@@ -368,7 +373,7 @@ fn design_gradients_are_derivatives() {
 
 #[test]
 fn a_resumed_run_has_the_same_bits() {
-    for case in [noisy_channel::<f64>(&[]), vortices(2, true, isotropic())] {
+    for case in [noisy_channel::<f64>(&[]), vortices(2, true, isotropic()), buoyant(vortices(2, true, isotropic()))] {
         let mut whole = Solver::restore(case.model.clone(), &case.snapshot(&case.state)).unwrap();
         (0..40).for_each(|_| whole.advance().unwrap());
         let mut part = Solver::restore(case.model.clone(), &case.snapshot(&case.state)).unwrap();
@@ -438,6 +443,22 @@ fn flows_do_not_know_how_fast_they_are_looked_past() {
         println!("{dimension}D: {worst:.1e} after {steps} steps");
         assert!(worst < 1e-9, "{dimension}D: {worst:e}");
     }
+}
+
+/// Without gradients nothing acts but buoyancy: u += dt (-beta g) (T - T0).
+#[test]
+fn warm_fluid_rises_by_boussinesqs_formula() {
+    let case = buoyant(vortices::<f64>(2, true, Shift::None));
+    let (n, mut state) = (case.model.particles(), case.state.clone());
+    for (row, value) in [(2, 0.8), (3, -0.3), (4, 0.0), (5, 0.6)] {
+        state[row * n..][..n].fill(value);
+    }
+    let end = case.run(&state, 3);
+    for (row, first, gravity) in [(2, 0.8, 0.7), (3, -0.3, -2.3)] {
+        let expected = first - 3.0 * case.model.dt * 1.7 * gravity * (0.6 - 0.04);
+        assert!(end[row * n..][..n].iter().all(|u| (u - expected).abs() < 1e-12), "{} and {expected}", end[row * n]);
+    }
+    assert!(end[4 * n..] == state[4 * n..]);
 }
 
 #[test]

@@ -82,6 +82,14 @@ fn gradients_are_those_of_differences() {
         let error = gradient_error(&problem(&channel(shape, variables, kind)));
         assert!(error < 1e-6, "{shape}, {kind}: {error:e}");
     }
+    // With buoyancy, of a flow that it changes.
+    let text = channel(disc, &of_disc, "heat-outflow");
+    let still = problem(&text.replace("[0.6, 0.0]", "[0.6, -2.0]"));
+    let lifted = text.replace("[0.6, 0.0]", "[0.6, -2.0]").replace("viscosity", "expansion = 3.0\nviscosity");
+    let lifted = problem(&lifted);
+    assert!((still.evaluate(&still.first).unwrap() / lifted.evaluate(&lifted.first).unwrap() - 1.0).abs() > 1e-4);
+    let error = gradient_error(&lifted);
+    assert!(error < 1e-7, "buoyancy: {error:e}");
 }
 
 #[test]

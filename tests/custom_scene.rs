@@ -11,6 +11,7 @@ use hydrograd::particles::{tag, Domain};
 use hydrograd::scene::custom_shape::Shape;
 use hydrograd::scene::distance::{images, Walls};
 use hydrograd::scene::plausible::Findings;
+use hydrograd::scene::shape_heat::ShapeHeat;
 use hydrograd::scene::Scene;
 use hydrograd::sph::divergence::Cause;
 use hydrograd::sph::dynamics::Sph;
@@ -122,6 +123,83 @@ fn heat_between_two_walls_is_linear() {
         worst = worst.max((t - (1.0 + y / 0.5)).abs());
     }
     assert!(worst < 0.01, "{worst}");
+}
+
+/// Between a hot and a cold wall that are infinitely high T = 1 - x and, at rest at first and falling with the rest of gravity's pull,
+/// v = beta / (12 nu) x (1 - x) (1 - 2 x) - x (1 - x) / (2 nu).
+fn between_warm_walls(more_size: &str, more_periodic: &str, dx: f64) -> String {
+    let depth = if more_size.is_empty() { ["", "", ""] } else { [", 0.0", ", -1.0", ", 2.0"] };
+    let wall = |low: f64, temperature: f64| {
+        format!(
+            "[[shapes]]\nkind = \"box\"\nlower = [{low}, -1.0{}]\nupper = [{}, 2.0{}]\ntemperature = {temperature}\n",
+            depth[1],
+            low + 1.0,
+            depth[2]
+        )
+    };
+    format!(
+        "[region]\nsize = [1.0, 0.7{more_size}]\nperiodic = [false, true{more_periodic}]\nacceleration = [0.0, -1.0{}]\n\
+         [fluid]\nviscosity = 0.71\nconductivity = 1.0\ninlet_temperature = 0.0\nreference_temperature = 0.5\nexpansion = 71.0\n\
+         [initial]\ntemperature = \"1 - x\"\n[resolution]\ndx = {dx}\n[time]\nend = 0.9\n{}{}",
+        depth[0],
+        wall(-1.0, 1.0),
+        wall(1.0, 0.0)
+    )
+}
+
+#[test]
+fn between_warm_walls_the_flow_is_exact() {
+    let flat = between_warm_walls("", "", 0.05);
+    let deep = between_warm_walls(", 0.7", ", true", 0.1);
+    for (scene, tolerance, is_flat) in [
+        (consistent(&flat), 1e-3, true),
+        (scene(&flat), 3e-2, true),
+        (consistent(&deep), 1e-2, false),
+        // Ten particles across: the standard method's walls are of first order.
+        (scene(&deep), 1e-1, false),
+    ] {
+        let solver = end(&scene, scene.steps);
+        let (l, n) = (scene.model.rows, scene.model.particles());
+        let (mut worst, mut most) = (0.0_f64, 0.0_f64);
+        for i in (0..n).filter(|&i| scene.model.is_fluid(i)) {
+            let (x, v) = (solver.row(0)[i], solver.row(l.velocity() + 1)[i]);
+            let exact = x * (1.0 - x) * (100.0 / 12.0 * (1.0 - 2.0 * x) - 1.0 / 1.42);
+            (worst, most) = (worst.max((v - exact).abs()), most.max(exact.abs()));
+        }
+        assert!(worst < tolerance * most, "{}: {worst} of {most}", scene.model.name());
+        if is_flat {
+            let config =
+                if tolerance < 1e-2 { config(&flat) } else { loaded_with(&flat, &["method.name=standard"]).unwrap() };
+            let heat = ShapeHeat::of_config(&config).unwrap().unwrap().of_state(&scene.model, &solver.state).unwrap();
+            // T falls by 1 over 1 along a height of 0.7.
+            let off = (heat[0] / 0.7 - 1.0).abs().max((heat[1] / 0.7 + 1.0).abs());
+            assert!(off < 0.2 * tolerance.max(5e-3), "{}: {heat:?}", scene.model.name());
+        }
+    }
+}
+
+/// Where all is equally warm buoyancy is nothing but another gravity, g (1 - beta (T - T0)): for the fluid and for its walls.
+#[test]
+fn buoyancy_of_uniform_temperature_is_a_smaller_gravity() {
+    let text = |gravity: f64, expansion: f64| {
+        format!(
+            "[region]\nsize = [0.6, 0.6]\nperiodic = [true, false]\nacceleration = [{}, {gravity}]\n\
+             [fluid]\nviscosity = 0.1\nconductivity = 0.1\ninlet_temperature = 1.3\nexpansion = {expansion}\n\
+             reference_temperature = 1.1\n[initial]\ntemperature = 1.7\nvelocity = [\"sin(4*PI*y/0.6)\", 0]\n\
+             [resolution]\ndx = 0.05\n[time]\nsteps = 40\njitter = 0.1\n\
+             [[shapes]]\nkind = \"box\"\nlower = [-1.0, -1.0]\nupper = [2.0, 0.0]\ntemperature = 1.7\n",
+            -0.3 * gravity
+        )
+    };
+    for build in [consistent, scene] {
+        // 1 - 0.5 (1.7 - 1.1) = 0.7.
+        let both = [(-2.0, 0.5), (-1.4, 0.0), (-2.0, 0.0)].map(|(gravity, expansion)| {
+            let scene = build(&text(gravity, expansion));
+            end(&scene, 40).state.clone()
+        });
+        let gap = |k: usize| both[0].iter().zip(&both[k]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(gap(1) < 1e-9 && gap(2) > 1e-3, "{:e}, {:e}", gap(1), gap(2));
+    }
 }
 
 /// A roll that turns takes the fluid around with it and stays where it is; gradients know that too (tests/operators.rs).
@@ -321,6 +399,7 @@ fn wrong_files_are_one_clear_error() {
         ("[initial]\ntemperature = true", &["mine.toml", "a number or a formula"]),
         ("[initial]\ntemperature = \"ln(y - 0.2)\"", &["initial.temperature is NaN at x = 0.0125, y = 0.01", "line 3"]),
         ("[region]\nsize = [1.0]", &["region.size = [1.0]", "two or three lengths"]),
+        ("[fluid]\nexpansion = 0.1", &["fluid.expansion in a scene without heat", "initial.temperature"]),
         ("[region]\nsize = [1.0, 0.51]", &["does not divide region.size[1] = 0.51", "region.size[1] = 0.5"]),
         ("[region]\nperiodic = [true]", &["region.periodic = [true]", "2 entries"]),
         ("[region]\nsize = [0.1, 0.5]", &["too coarse for region.size[0] = 0.1", "5.2 spacings"]),

@@ -16,6 +16,7 @@ use hydrograd::sph::dynamics::Sph;
 use hydrograd::sph::interpolation::Interpolation;
 use hydrograd::sph::kernels::KernelName;
 use hydrograd::sph::laws::body_force::BodyForce;
+use hydrograd::sph::laws::buoyancy::Buoyancy;
 use hydrograd::sph::laws::drive::Drive;
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
 use hydrograd::sph::standard::chain::{Chain, Step};
@@ -514,6 +515,31 @@ fn the_body_force_is_its_own_acceleration() {
         }
     }
     assert_eq!(with[n..], without[n..], "only the first component");
+}
+
+/// a = -beta g (T - T0) for each particle, and their momentum is that of the sum: pairs keep theirs.
+#[test]
+fn buoyancy_is_its_own_acceleration() {
+    for dimension in [2, 3] {
+        let mut scene = RandomScene::new(Options { walls: false, periodic: [true; 3], ..Options::rich(dimension) });
+        (scene.body_force, scene.buoyancy, scene.open_everywhere) = (BodyForce::None, None, true);
+        let (without, _) = rates_of::<f64>(&scene);
+        scene.buoyancy = Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04);
+        let (with, mass) = rates_of::<f64>(&scene);
+        let (model, n) = (scene.model::<f64>(), scene.particles());
+        let moved = apply1(drift::Drift(model.clone(), model.dt), &tensor(&scene.state::<f64>(), n)).unwrap();
+        let temperature = &numbers(&moved)[model.layout.moved_temperature() * n..][..n];
+        for (d, g) in [0.7, -2.3, 1.1][..dimension].iter().enumerate() {
+            let given = |i: usize| -1.7 * g * (temperature[i] - 0.04);
+            let gap = (0..n).map(|i| (with[d * n + i] - without[d * n + i] - given(i)).abs()).fold(0.0, f64::max);
+            assert!(gap < 1e-10, "{dimension}D, component {d}: {gap:e}");
+            let force: f64 = (0..n).map(|i| mass[i] * with[d * n + i]).sum();
+            let (expected, size): (f64, f64) =
+                ((0..n).map(|i| mass[i] * given(i)).sum(), (0..n).map(|i| (mass[i] * with[d * n + i]).abs()).sum());
+            assert!((force - expected).abs() < 1e-13 * size, "{dimension}D, component {d}: {force} and {expected}");
+        }
+        assert_eq!(with[dimension * n..], without[dimension * n..], "nothing but accelerations");
+    }
 }
 
 /// A random order of 0..n.

@@ -4,7 +4,7 @@ use hydrograd::report::plots::axis::{log_ticks, Axis, PlotArea};
 use hydrograd::report::plots::colors::heat;
 use hydrograd::report::plots::drawing::{averaged, text_width, Color, Drawing, Point, Shape};
 use hydrograd::report::plots::lines::{apart, labels, Line, Look, MOST, ROW};
-use hydrograd::report::plots::{history, HistoryPoint};
+use hydrograd::report::plots::{fields, history, Field, FieldPanel, HistoryPoint};
 
 /// The ticks of an axis over this range.
 fn linear(low: f64, high: f64, count: usize) -> Vec<(f64, String)> {
@@ -43,6 +43,40 @@ fn ranges_of_axes_survive_poor_data() {
     }
     assert!(!Axis::around_log([]).ticks().is_empty());
     assert!(!Axis::around_log([0.0, -1.0]).ticks().is_empty());
+}
+
+#[test]
+fn fields_are_drawn_without_what_is_in_walls() {
+    let folder = tempfile::tempdir().unwrap();
+    let stem = folder.path().join("field");
+    // A value in each quarter, and nothing in the last.
+    let field = Field { cells: [2, 2], corners: [[0.0, 0.0], [2.0, 1.0]], values: vec![-1.0, 0.0, 3.0, f64::NAN] };
+    assert_eq!(field.range(), (-1.0, 3.0));
+    let walls = [vec![[1.0, 0.5], [5.0, 0.5], [5.0, 5.0], [1.0, 5.0]]];
+    let lines = [vec![[0.1, 0.1], [0.5, 0.2], [1.0, 0.2]]];
+    let panel = FieldPanel { title: "one", field: &field, streamlines: &lines, walls: &walls };
+    let [png, svg] = fields(&stem, "value", &[panel], (-1.0, 3.0), false).unwrap();
+    assert!(png.exists());
+    let text = std::fs::read_to_string(&svg).unwrap();
+    let color = |part: f64| {
+        let [r, g, b] = heat(part);
+        format!("#{r:02X}{g:02X}{b:02X}")
+    };
+    // The middles of the bands.
+    for part in [0.5 / 24.0, 6.5 / 24.0, 23.5 / 24.0] {
+        assert!(text.contains(&color(part)), "{}", color(part));
+    }
+    // Walls do not leave the frame, whose right end is at 110 + 900 nominal pixels.
+    let numbers = text.split("polygon").flat_map(|part| part.split('"')).filter(|part| part.contains(','));
+    let most =
+        numbers.flat_map(|part| part.split([' ', ','])).filter_map(|x| x.parse::<f64>().ok()).fold(0.0, f64::max);
+    assert!(most < 4.0 * 1200.0, "{most}");
+    let short = Field { values: vec![1.0], ..field.clone() };
+    for (panels, range) in
+        [(vec![], (0.0, 1.0)), (vec![FieldPanel { field: &short, ..panel }], (0.0, 1.0)), (vec![panel], (1.0, 1.0))]
+    {
+        assert!(fields(&stem, "value", &panels, range, true).is_err());
+    }
 }
 
 #[test]

@@ -58,7 +58,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     }
     let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     fields.write(folder, config, &loaded.text)?;
-    let heat = files::plot_flow_and_heat(folder, &[("end", &fields)], config.resolution.dx)?;
+    let heat = files::plot_maps(folder, &[(&format!("t = {end}"), &around.map(&last))], true)?;
     write_history(folder, &history)?;
     let from = around.window();
     let record = record(loaded, &around, &history, from, speed, seconds);
@@ -77,7 +77,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     }
     print_dimensionless(config, speed);
     println!(
-        "files in {}: report.html, summary.json, history.csv, flow.png{}, state.h5, particles/particles.pvd (ParaView)",
+        "files in {}: report.html, summary.json, history.csv, flow.png, vorticity.png{}, state.h5, particles/particles.pvd (ParaView)",
         folder.display(),
         if heat { ", temperature.png" } else { "" }
     );

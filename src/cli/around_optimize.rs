@@ -14,8 +14,8 @@ use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_shapes::AroundShapes;
+use crate::scene::field_map::FieldMap;
 use crate::scene::load::Loaded;
-use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
 use crate::scene::shape_search::{Epoch, Found, Search, HELD};
 use crate::scene::verification::{wall_settings, Verification};
@@ -66,7 +66,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     write_history(folder, &name, history)?;
     let seconds: f64 = history.iter().map(|epoch| epoch.seconds).sum();
     // Both again, with particles placed around them.
-    let mut fields: Vec<ParticleFields> = vec![];
+    let mut maps: Vec<FieldMap> = vec![];
     let mut records: Vec<Record> = vec![];
     for (at, frames) in [(loaded, BEFORE), (&with_best, AFTER)] {
         let mut around = AroundShapes::new(&at.config)?;
@@ -80,10 +80,9 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
             end.write(folder, &at.config, &at.text)?;
             print_figures(config, &figures);
         }
-        fields.push(end);
+        maps.push(around.map(&solution));
     }
-    let panels = [("before", &fields[0]), ("after", &fields[1])];
-    let heat = files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?;
+    let heat = files::plot_maps(folder, &[("before", &maps[0]), ("after", &maps[1])], false)?;
     let (before, mut record) = (records.remove(0), records.remove(0));
     let (first, last) =
         (before.number("objective").unwrap_or(f64::NAN), record.number("objective").unwrap_or(f64::NAN));

@@ -163,7 +163,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     end.write(folder, &loaded.config, &loaded.text)?;
     let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
     end.with_frame(|frame| series.write(frame))?;
-    let heat = files::plot_flow_and_heat(folder, &[("steady", &end)], config.resolution.dx)?;
+    let heat = files::plot_maps(folder, &[("steady", &around.map(&solution))], false)?;
     let figures = around.summary(&solution);
     let mut record = record(loaded, &around, &solution, &figures, seconds);
     put_growth(&mut record, loaded, &mut around, &solution)?;

@@ -8,7 +8,8 @@ use crate::error::Error;
 use crate::io::atomic::write_bytes_atomically;
 use crate::io::csv::{write_columns, Cell};
 use crate::io::vtk::write_surface;
-use crate::report::plots::{colored_particles, relief, ReliefPanel, TemperaturePanel};
+use crate::report::plots::{colored_particles, fields, relief, Field, FieldPanel, ReliefPanel, TemperaturePanel};
+use crate::scene::field_map::FieldMap;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
@@ -118,6 +119,33 @@ pub fn plot_flow_and_heat(folder: &Path, panels: &[(&str, &ParticleFields)], dx:
     let Some(temperatures) = temperatures else { return Ok(false) };
     plot_scene(folder, ("temperature", TEMPERATURE), panels, &temperatures, dx)?;
     Ok(true)
+}
+
+/// Plots the flow of fixed particles as fields: `flow.png` with streamlines, `temperature.png` where there is heat, and `vorticity.png` if
+/// asked for. Returns whether there is heat.
+pub fn plot_maps(folder: &Path, panels: &[(&str, &FieldMap)], has_vorticity: bool) -> anyhow::Result<bool> {
+    let plot = |name: &str, label: &str, is_signed: bool, of: &dyn for<'a> Fn(&'a FieldMap) -> Option<&'a Field>| {
+        let all: Option<Vec<&Field>> = panels.iter().map(|(_, map)| of(map)).collect();
+        let Some(all) = all else { return anyhow::Ok(false) };
+        let (low, high) = all.iter().map(|field| field.range()).fold(NO_RANGE, widest);
+        let most = low.abs().max(high.abs()).max(1e-300);
+        let (low, high) = if is_signed { (-most, most) } else { (low, high) };
+        // A uniform field is one colour, whatever its last digits are.
+        let high = if high - low > 1e-9 * most { high } else { low + most };
+        let drawn = panels.iter().zip(all).map(|((title, map), field)| FieldPanel {
+            title,
+            field,
+            streamlines: &map.streamlines,
+            walls: &map.walls,
+        });
+        fields(&folder.join(name), label, &drawn.collect::<Vec<_>>(), (low, high), is_signed)?;
+        Ok(true)
+    };
+    plot("flow", SPEED, false, &|map| Some(&map.speed))?;
+    if has_vorticity {
+        plot("vorticity", "vorticity (scene units)", true, &|map| Some(&map.vorticity))?;
+    }
+    plot("temperature", TEMPERATURE, false, &|map| map.temperature.as_ref())
 }
 
 /// Draws particles in panels, coloured by values `[N]`. Without a range of colours it is that of the fluid's values.

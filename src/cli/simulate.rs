@@ -175,12 +175,14 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         window: scene.window(),
     };
     let mut measurement = scene.measurement();
+    let mut shape_heats = scene.shape_heats(config)?;
     let clock = Instant::now();
     let (mut from, mut recovered) = (first, Vec::<Recovery>::new());
     let mut solver = loop {
         let mut good = LastGood::new(&from);
         let mut observers: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut good];
         observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
+        observers.extend(shape_heats.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
         observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
         observers.push(&mut history);
         observers.push(&mut checkpoints);
@@ -208,6 +210,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         let (step, parts) = (from.step, from.least_parts);
         history.go_back(step);
         measurement.iter_mut().for_each(|it| it.go_back(step));
+        shape_heats.iter_mut().for_each(|it| it.go_back(step));
         frames.iter_mut().for_each(|it| it.go_back(step as f64 * scene.model.dt));
         bar.suspend(|| {
             let advice = format!("nothing, it goes on from step {step} with every step in {parts} parts");
@@ -246,6 +249,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         seconds,
         divided,
         recovered: &recovered,
+        shape_heat: shape_heats.map_or(vec![], |it| it.mean()),
         pictures,
     };
     let measured = measurement.map(|it| it.diagnostics());

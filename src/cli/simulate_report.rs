@@ -2,7 +2,7 @@
 
 use super::files;
 use super::guard;
-use crate::config::scene::{Config, Family};
+use crate::config::scene::{Config, Family, ObjectiveKind};
 use crate::design::diagnostics::Diagnostics;
 use crate::design::objectives::Figure;
 use crate::design::Problem;
@@ -31,6 +31,8 @@ pub struct Finished<'a, R> {
     pub seconds: f64,
     pub divided: Divided,
     pub recovered: &'a [Recovery],
+    /// Mean heat of each shape; empty where none is known.
+    pub shape_heat: Vec<f64>,
     /// Text about ParaView frames.
     pub pictures: String,
 }
@@ -81,6 +83,15 @@ pub fn report_design<R: Sweeps>(
 }
 
 impl<R: Sweeps> Finished<'_, R> {
+    /// The sum of the heat of those shapes that the objective names, or of all.
+    fn objective_of_shapes(&self) -> Option<f64> {
+        let objective = &self.loaded.config.objective;
+        let is_wanted = objective.kind == ObjectiveKind::ShapeHeat && !self.shape_heat.is_empty();
+        let heat = self.shape_heat.iter().enumerate();
+        let of = heat.filter(|(k, _)| objective.shapes.is_empty() || objective.shapes.contains(k));
+        is_wanted.then(|| of.map(|(_, heat)| heat).sum())
+    }
+
     /// The warnings of the scene, and of its particles at the end.
     fn warnings(&self) -> anyhow::Result<Vec<Warning>> {
         let config = &self.loaded.config;
@@ -120,7 +131,7 @@ fn print_measured(config: &Config, d: &Diagnostics) {
         println!("mean temperature    {:.6}", d.mean_temperature);
     }
     println!("mean density        {:.6}", d.mean_density);
-    if config.scene == Family::Custom && config.flows_through() {
+    if config.scene == Family::Custom && config.flows_through() && config.objective.kind != ObjectiveKind::ShapeHeat {
         let Figure { symbol, quantity, .. } = Figure::of_config(config);
         println!("objective           {:.6}   {symbol}, {quantity}, mean of its samples", d.objective(config));
     }
@@ -156,6 +167,14 @@ pub fn report_flow<R: Sweeps>(
     if let Some(error) = pressure_error {
         record.put("pressure_error", error);
     }
+    if !finished.shape_heat.is_empty() {
+        record.put("heat_of_shapes", &finished.shape_heat);
+    }
+    let objective = finished.objective_of_shapes();
+    if let Some(objective) = objective {
+        record.put("objective_kind", loaded.config.objective.kind);
+        record.put("objective", objective);
+    }
     record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
     files::write_summary(folder, &record)?;
@@ -167,6 +186,14 @@ pub fn report_flow<R: Sweeps>(
     }
     if let Some(measured) = measured {
         print_measured(&loaded.config, measured);
+    }
+    for (k, heat) in
+        finished.shape_heat.iter().enumerate().filter(|(k, _)| loaded.config.shapes[*k].temperature.is_some())
+    {
+        println!("heat of shapes[{k}]   {heat:.6}   given to the fluid through its surface, mean of the samples");
+    }
+    if let Some(objective) = objective {
+        println!("objective           {objective:.6}   {}", Figure::of_config(&loaded.config).quantity);
     }
     if let Some(error) = found.velocity_error {
         let over = format!(", over {}", scene.exact.amplitude_name());

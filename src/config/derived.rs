@@ -242,6 +242,11 @@ impl Config {
         limits.acoustic.min(limits.diffusive).min(limits.force)
     }
 
+    /// The temperature without buoyancy, relative to that of the inlet.
+    pub fn neutral_temperature(&self) -> f64 {
+        self.fluid.reference_temperature.map_or(0.0, |neutral| neutral - self.fluid.inlet_temperature)
+    }
+
     /// Magnitude of the body force per mass in a custom scene.
     pub fn acceleration(&self) -> f64 {
         self.region.acceleration.iter().map(|g| g * g).sum::<f64>().sqrt()

@@ -13,6 +13,7 @@ pub mod pool;
 pub mod random;
 pub mod ranks;
 pub mod sparse_lu;
+pub mod streamlines;
 pub mod sweep;
 pub mod thread_pool;
 pub mod threads;

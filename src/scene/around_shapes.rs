@@ -8,7 +8,7 @@ use crate::config::scene::{Asked, Config, DriveName, Goal, LimitEntry, Objective
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
-use crate::sph::cloud::equations::{Buoyancy, Motion, Warmth};
+use crate::sph::cloud::equations::{Motion, Warmth};
 use crate::sph::cloud::figures::{At, Figure};
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
@@ -16,6 +16,7 @@ use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
 use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
+use crate::sph::laws::buoyancy::Buoyancy;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -152,10 +153,7 @@ impl AroundShapes {
             viscosity: config.kinematic_viscosity(),
             diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
             force: [region.acceleration[0], region.acceleration[1]],
-            buoyancy: (fluid.expansion != 0.0).then(|| Buoyancy {
-                by: [0, 1].map(|e| -fluid.expansion * region.acceleration[e]),
-                at: fluid.reference_temperature.unwrap_or(fluid.inlet_temperature) - fluid.inlet_temperature,
-            }),
+            buoyancy: Buoyancy::new(fluid.expansion, &region.acceleration, config.neutral_temperature()),
             velocity: fluid.reference_velocity,
         };
         let held = match fluid.drive {
@@ -180,14 +178,15 @@ impl AroundShapes {
         let wanted =
             numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();
         for (k, &(shape, _)) in wanted.iter().enumerate() {
-            if !cloud.is_parameter(wanted[k]) && !cloud.places.bodies.contains(&shape) {
+            if !cloud.is_parameter(wanted[k]) && !cloud.places.bodies.contains(&shape) && !holds_ends(&cloud, wanted[k])
+            {
                 let key = format!("variables[{k}].number");
                 let problem = format!(
-                    "{key} = \"{}\": the shape touches another wall, or reaches out of the box",
+                    "{key} = \"{}\": the shape touches another wall, or reaches out of the box, and this number moves its surface there",
                     config.variables[k].number
                 );
                 return Err(BadInput::at(&key, problem)
-                    .allowed("numbers of shapes that stand in the fluid, with method.name = fixed")
+                    .allowed("numbers of shapes that stand in the fluid, and those of other shapes that leave their ends in place (points of a b-spline far from these)")
                     .advice("method.name=consistent")
                     .into());
             }
@@ -545,6 +544,21 @@ impl AroundShapes {
 fn place_of(cloud: &Cloud, number: &ShapeNumber) -> Option<(usize, usize)> {
     let parts: &[Part] = &cloud.ground.outlines.get(number.shape)?.parts;
     Some((number.shape, parts.iter().position(|part| *part == number.part)?))
+}
+
+/// Whether a number leaves a surface in place where it comes out of another wall or out of the box.
+fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
+    let Cloud { ground, places, .. } = cloud;
+    let outline = &ground.outlines[shape];
+    let slopes = outline.slopes(&outline.samples(24), &outline.numbers, number);
+    let is_free = |p: [f64; 2]| {
+        let is_in = (0..2).all(|d| ground.plane.periodic[d] || (0.0..=ground.plane.size[d]).contains(&p[d]));
+        is_in && ground.is_in_wall(&places.polygons, p, Some(shape)).is_none()
+    };
+    let free: Vec<bool> = slopes.iter().map(|on| is_free(on.place.map(|x| x.value))).collect();
+    let stays = |k: usize| slopes[k].place.iter().all(|x| x.slope.abs() < 1e-12);
+    let next = |k: usize| (k + 1) % free.len();
+    (0..free.len()).filter(|&k| free[k] != free[next(k)]).all(|k| stays(k) && stays(next(k)))
 }
 
 /// The points of all probes of a configuration.

@@ -10,6 +10,7 @@ use crate::sph::division::Division;
 use crate::sph::flow::{Flow, Heat, Materials, Scratch};
 use crate::sph::kernels::Kernel;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::buoyancy::Buoyancy;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use crate::sph::laws::{further, Flux, Scales};
@@ -39,6 +40,7 @@ pub(super) struct Parts<R> {
     pub velocity: f64,
     pub viscosity: f64,
     pub body_force: BodyForce,
+    pub buoyancy: Option<Buoyancy>,
     /// Drive that holds the flow rate or the power, if one is given.
     pub drive: Option<Drive>,
     /// Velocity along x of the upper wall; 0 if it does not move.
@@ -61,6 +63,7 @@ impl<R: Sweeps> Parts<R> {
             velocity: config.fluid.reference_velocity,
             viscosity: config.fluid.viscosity,
             body_force: BodyForce::None,
+            buoyancy: None,
             drive: None,
             lid: 0.0,
             own_mass: false,
@@ -190,6 +193,7 @@ impl<R: Sweeps> Parts<R> {
             },
             viscosity: self.viscosity,
             body_force: self.body_force,
+            buoyancy: self.buoyancy,
             drive: self.drive,
             walls_slide: false,
             heat: self.heat.take(),

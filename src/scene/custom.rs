@@ -27,6 +27,7 @@ use crate::particles::{tag, Domain};
 use crate::sph::flow::Heat;
 use crate::sph::interpolation::Interpolation;
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::buoyancy::Buoyancy;
 use crate::sph::{Model, Sweeps};
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -275,6 +276,7 @@ fn assemble<R: Sweeps>(config: &Config) -> Result<Built<R>, BadInput> {
     acceleration[..d].copy_from_slice(&region.acceleration);
     let mut parts = Parts {
         body_force: if acceleration == [0.0; 3] { BodyForce::None } else { BodyForce::Gravity(acceleration) },
+        buoyancy: Buoyancy::new(fluid.expansion, &region.acceleration, config.neutral_temperature()),
         heat,
         exact: stated(config)?,
         ..Parts::new(config, lattice)

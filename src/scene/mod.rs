@@ -15,6 +15,7 @@ pub mod custom_shape;
 pub mod developed;
 pub mod distance;
 pub mod exact;
+pub mod field_map;
 pub mod figures;
 mod flaws;
 pub mod flows;
@@ -25,6 +26,7 @@ pub mod observers;
 pub mod particle_fields;
 pub mod plausible;
 pub mod record;
+pub mod shape_heat;
 pub mod shape_search;
 mod surface;
 pub mod tank;
@@ -33,6 +35,7 @@ pub mod warnings;
 
 pub use exact::Exact;
 
+use self::shape_heat::{ShapeHeat, ShapeHeats};
 use crate::config::builtin::SCENES;
 use crate::config::scene::{Config, Family};
 use crate::design::diagnostics::{Measurement, Section};
@@ -98,6 +101,16 @@ impl<R: Sweeps> Scene<R> {
         }
     }
 
+    /// The heat of its shapes at the same steps, of custom scenes.
+    ///
+    /// # Errors
+    /// Formulas that cannot be read.
+    pub fn shape_heats(&self, config: &Config) -> Result<Option<ShapeHeats<'_, R>>, Error> {
+        let Some(section) = self.section.as_ref().filter(|_| config.scene == Family::Custom) else { return Ok(None) };
+        let found = ShapeHeat::of_config(config)?;
+        Ok(found.map(|of| ShapeHeats { of, model: &self.model, steps: section.steps.clone(), samples: vec![] }))
+    }
+
     /// Number of steps at the end over which a run is measured; 0 without a measurement.
     pub fn window(&self) -> usize {
         match (&self.design, &self.section) {
@@ -114,7 +127,8 @@ impl<R: Sweeps> Scene<R> {
         scene.design = None;
         let (n, d) = (scene.model.particles(), scene.model.dimension());
         scene.start.state[d * n..2 * d * n].fill(R::default());
-        scene.model = scene.model.with(|flow| (flow.body_force, flow.drive) = (BodyForce::None, None));
+        scene.model =
+            scene.model.with(|flow| (flow.body_force, flow.buoyancy, flow.drive) = (BodyForce::None, None, None));
         Ok(scene)
     }
 

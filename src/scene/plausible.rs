@@ -35,6 +35,8 @@ pub struct Findings {
     pub thinnest: Option<usize>,
     /// Indices of shapes without a particle.
     pub idle: Vec<usize>,
+    /// See [`lift`].
+    lift: [f64; 3],
     pub warnings: Vec<Warning>,
 }
 
@@ -65,6 +67,7 @@ impl Findings {
             narrowest: grid.as_ref().and_then(|grid| grid.narrowest(false)),
             thinnest: grid.as_ref().and_then(|grid| grid.narrowest(true)),
             idle: grid.map_or(vec![], |grid| grid.idle),
+            lift: lift(scene),
             warnings: vec![],
         };
         findings.warnings = findings.implausible(config);
@@ -137,7 +140,8 @@ impl Findings {
                 format!("fluid.reference_velocity={} (smaller steps), or a smaller force", suggest::at_least(u, u)),
             );
         }
-        if own && u > 0.0 && reference > TOO_CAREFUL * u {
+        // How fast buoyancy makes a flow is not foreseen.
+        if own && u > 0.0 && reference > TOO_CAREFUL * u && self.lift == [0.0; 3] {
             warn(
                 "large-reference-velocity",
                 [reference / u, TOO_CAREFUL],
@@ -205,13 +209,16 @@ impl Findings {
         if config.scene == Family::Custom {
             let region = &config.region;
             for (d, g) in region.acceleration.iter().enumerate().filter(|&(d, _)| !region.periodic[d]) {
-                let compression = g.abs() * region.size[d] / (c * c);
+                // Only the standard method computes the pressure from the density.
+                let lift = if matches!(config.method, Method::Standard(_)) { self.lift[d] } else { 0.0 };
+                let compression = (g.abs() + lift) * region.size[d] / (c * c);
+                let lifted = if lift > 0.0 { format!(" with up to {lift:.3} of buoyancy") } else { String::new() };
                 if compression > COMPRESSION {
                     warn(
                         "compression",
                         [compression, COMPRESSION],
                         format!(
-                            "region.acceleration[{d}] = {g} compresses the fluid by {:.0} % over region.size[{d}]",
+                            "region.acceleration[{d}] = {g}{lifted} compresses the fluid by {:.0} % over region.size[{d}]",
                             100.0 * compression
                         ),
                         "a larger fluid.reference_velocity or fluid.sound_speed_factor".into(),
@@ -255,6 +262,22 @@ impl Findings {
         }
         all
     }
+}
+
+/// The largest acceleration by buoyancy along each direction, by the temperatures of the start and of walls.
+fn lift<R: Sweeps>(scene: &Scene<R>) -> [f64; 3] {
+    let model = &scene.model;
+    let (Some(buoyancy), Some(heat), Some(row)) = (model.buoyancy, &model.heat, model.rows.temperature()) else {
+        return [0.0; 3];
+    };
+    let n = model.particles();
+    let start = (0..n).filter(|&i| model.is_fluid(i)).map(|i| scene.start.state[row * n + i].f64());
+    // A wall that is held at T has T = constant + factor T.
+    let walls =
+        heat.wall_constant.iter().zip(&heat.wall_factor).map(|(constant, factor)| (constant.f64(), factor.f64()));
+    let walls = walls.filter(|(_, factor)| *factor < 1.0).map(|(constant, factor)| constant / (1.0 - factor));
+    let most = start.chain(walls).map(|t| (t - buoyancy.at).abs()).fold(0.0, f64::max);
+    buoyancy.by.map(|by| by.abs() * most)
 }
 
 /// Warns if a wall turns so sharply that particles do not resolve it: by its smallest radius of curvature, 1 / |y''|.

@@ -8,8 +8,10 @@ use crate::numerics::pool::Buffers;
 use crate::particles::{tag, Domain, Reach};
 use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::body_force::BodyForce;
+use crate::sph::laws::buoyancy::Buoyancy;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
+use candle_core::{Result, Tensor};
 
 /// Heat conduction and its boundary conditions. Temperatures are stored as T - `reference`, because f32 has no digits
 /// to spare for the constant (over 20 steps of the heated channel this lowers the error of the f32 gradient from 0.56
@@ -77,6 +79,8 @@ pub struct Flow<R> {
     /// Dynamic viscosity.
     pub viscosity: f64,
     pub body_force: BodyForce,
+    /// Only with heat.
+    pub buoyancy: Option<Buoyancy>,
     /// Drive that holds the flow rate or the power, if one is given.
     pub drive: Option<Drive>,
     /// Whether particles of a moving wall stay in place, as for a belt or a turning roll; otherwise they move with it.
@@ -105,6 +109,7 @@ impl<R> Flow<R> {
             equation_of_state,
             viscosity: 0.0,
             body_force: BodyForce::None,
+            buoyancy: None,
             drive: None,
             walls_slide: false,
             heat: None,
@@ -130,6 +135,23 @@ impl<R> Flow<R> {
     }
     pub fn has_walls(&self) -> bool {
         self.tags.iter().any(|&t| t != tag::FLUID)
+    }
+    /// Component `d` of the acceleration of fluid at height y by body force and buoyancy. `temperature` is asked for with buoyancy only.
+    #[inline(always)]
+    pub fn given(&self, d: usize, y: f64, temperature: impl FnOnce() -> f64) -> f64 {
+        let given = self.body_force.along(d, y);
+        match &self.buoyancy {
+            Some(buoyancy) => given + buoyancy.along(d, temperature()),
+            None => given,
+        }
+    }
+    /// The same at positions `[D, N]`, `[D, N]`; `fields` has the temperature in `row`.
+    pub fn given_composed(&self, position: &Tensor, fields: &Tensor, row: usize) -> Result<Tensor> {
+        let given = self.body_force.vector(position)?;
+        match &self.buoyancy {
+            Some(buoyancy) => given + buoyancy.composed(self.dimension(), &fields.narrow(0, row, 1)?)?,
+            None => Ok(given),
+        }
     }
     /// The speed of sound, c = sqrt(gamma p_ref / rho_ref).
     pub fn sound_speed(&self) -> f64 {

@@ -181,6 +181,9 @@ fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> 
     if model.body_force == BodyForce::None {
         all.push(dropped("body force", "the scene has none"));
     }
+    if model.heat.is_some() && model.buoyancy.is_none() {
+        all.push(dropped("buoyancy", "fluid.expansion is 0, or there is no gravity"));
+    }
     if !model.has_walls() {
         all.push(dropped("the walls' extrapolation", "the scene has no walls"));
     } else if model.steady().is_some() {

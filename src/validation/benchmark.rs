@@ -25,6 +25,13 @@ type Compared = (&'static str, f64, f64, f64);
 /// Mean Nusselt numbers by Rayleigh number.
 const NUSSELT: [(f64, f64); 4] = [(1e3, 1.1178), (1e4, 2.2448), (1e5, 4.5216), (1e6, 8.8252)];
 
+/// The known mean Nusselt number of a heated cavity; not a number for an unknown Rayleigh number.
+pub fn nusselt(config: &Config) -> f64 {
+    let rayleigh = config.fluid.expansion / config.fluid.viscosity;
+    let known = NUSSELT.iter().find(|(number, _)| (number / rayleigh - 1.0).abs() < 1e-3);
+    known.map_or(f64::NAN, |(_, nusselt)| *nusselt)
+}
+
 /// What came of a benchmark.
 pub struct Done {
     pub found: Found,
@@ -46,10 +53,7 @@ impl Benchmark {
             let value = |figure: Figure| around.value(&solution, figure);
             let compared: Vec<Compared> = match self {
                 Self::HeatedCavity => {
-                    let rayleigh = config.fluid.expansion / config.fluid.viscosity;
-                    let known = NUSSELT.iter().find(|(number, _)| (number / rayleigh - 1.0).abs() < 1e-3);
-                    let known = known.map_or(f64::NAN, |(_, nusselt)| *nusselt);
-                    vec![("Nusselt number", value(Figure::Heat { shape: 0 }), known, 1.0)]
+                    vec![("Nusselt number", value(Figure::Heat { shape: 0 }), nusselt(config), 1.0)]
                 }
                 _ => {
                     let force = |along: usize| value(Figure::Force { shape: 0, along }) / 0.002;

@@ -160,6 +160,14 @@ pub fn all() -> Vec<Case> {
             .quick(&["fluid.expansion=7100", "fluid.reference_velocity=20"], 5e-3)
             .quick(&["fluid.expansion=71000", "fluid.reference_velocity=70"], 5e-3)
             .full(&["fluid.expansion=710000", "fluid.reference_velocity=220", "resolution.dx=0.0078125"], 5e-3),
+        Case::new("heated-cavity-moving", "heated-cavity", &["method.name=consistent", "time.end=0.4"])
+            .compares(Measure::CavityHeat, "mean Nusselt number", "de Vahl Davis (1983)")
+            .quick(&["fluid.expansion=710", "fluid.reference_velocity=5", "resolution.dx=0.025"], 1e-2)
+            .full(&["fluid.expansion=7100", "fluid.reference_velocity=20", "resolution.dx=0.025"], 1e-2),
+        Case::new("heated-cavity-moving-1e5", "heated-cavity", &["method.name=consistent", "time.end=0.2"])
+            .compares(Measure::CavityHeat, "mean Nusselt number", "de Vahl Davis (1983)")
+            .full(&["resolution.dx=0.02"], 1e-2)
+            .full(&["resolution.dx=0.0125"], 5e-3),
         Case::new("schaefer-turek-1", "schaefer-turek-1", &[])
             .compares(
                 Measure::Published(Benchmark::SchaeferTurek1),

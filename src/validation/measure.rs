@@ -1,6 +1,6 @@
 //! What is compared with what is known.
 
-use super::benchmark::Benchmark;
+use super::benchmark::{nusselt, Benchmark};
 use super::found::{Curve, Found, Progress};
 use super::{probe, reference};
 use crate::adjoint::run::run;
@@ -8,6 +8,7 @@ use crate::config::layers::Setting;
 use crate::config::scene::{Config, Kernels};
 use crate::design::diagnostics::Measurement;
 use crate::scene::load::Loaded;
+use crate::scene::shape_heat::ShapeHeat;
 use crate::scene::Scene;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
@@ -35,6 +36,9 @@ pub enum Measure {
     /// Largest relative error of the extrema of u on x = 1/2 and of v on y = 1/2 of the steady cavity; of a cubic one, on z = 1/2, that of the
     /// values of [`reference::CUBIC_CAVITY`].
     CentreLines,
+    /// Relative error of the mean Nusselt number of the heated cavity with moving particles: the heat of its hot wall, over the last quarter of
+    /// the run.
+    CavityHeat,
     /// Relative error of the outflowing heat over a flat wall.
     Outflow,
     /// Largest relative error of the outflowing heat over four walls that are not flat.
@@ -66,6 +70,7 @@ impl Measure {
             Self::Temperature | Self::Nusselt => self.warmth(scene, progress),
             Self::KineticEnergy => kinetic_energy(scene, progress),
             Self::CentreLines => centre_lines(scene, progress),
+            Self::CavityHeat => cavity_heat(&loaded.config, scene, progress),
             Self::Outflow => {
                 let table = reference::heated_channel();
                 let exact = table.column("Q")[0];
@@ -87,6 +92,7 @@ impl Measure {
             Self::Nusselt => ("x", "Nusselt number"),
             Self::KineticEnergy => ("time", "mean kinetic energy"),
             Self::CentreLines => ("place on the line", "velocity"),
+            Self::CavityHeat => ("time", "Nusselt number"),
             Self::HydrostaticPressure => ("pressure / (density g H)", "y / H"),
             Self::Rest => ("time", "fastest particle / (g H)^(1/2)"),
             Self::Front => ("t (2 g / a)^(1/2)", "front / a"),
@@ -285,6 +291,30 @@ fn centre_lines<R: Sweeps>(scene: &Scene<R>, progress: Progress) -> anyhow::Resu
         Curve::new("v, finite differences", s.iter().copied().zip(exact_v).collect()),
     ];
     Ok(Found { error, curves })
+}
+
+fn cavity_heat<R: Sweeps>(config: &Config, scene: &Scene<R>, progress: Progress) -> anyhow::Result<Found> {
+    let surface = ShapeHeat::of_config(config)?.ok_or_else(|| anyhow!("the scene has no warm walls"))?;
+    let every = (scene.steps / 4 / SAMPLES).max(1);
+    let mut points = Vec::new();
+    watched(scene, progress, &mut |solver| {
+        if solver.step.is_multiple_of(every) {
+            let time = solver.step as f64 * scene.model.dt;
+            points.extend(surface.of_state(&scene.model, &solver.state).map(|heat| (time, heat[0])));
+        }
+    })?;
+    let end = scene.steps as f64 * scene.model.dt;
+    let late: Vec<f64> = points.iter().filter(|(time, _)| *time >= 0.75 * end).map(|point| point.1).collect();
+    let (mean, exact) = (late.iter().sum::<f64>() / late.len() as f64, nusselt(config));
+    log::info!("Nusselt number: {mean:.6}, known {exact}");
+    // What the first particles do beside walls that are suddenly warm would hide all else.
+    points.retain(|(time, _)| *time > 0.1 * end);
+    Ok(Found::beside(
+        (mean / exact - 1.0).abs(),
+        points,
+        "de Vahl Davis (1983)",
+        vec![(0.1 * end, exact), (end, exact)],
+    ))
 }
 
 /// Q.

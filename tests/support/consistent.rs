@@ -12,6 +12,7 @@ use hydrograd::sph::consistent::layout::Layout;
 use hydrograd::sph::consistent::{Consistent, Fits};
 use hydrograd::sph::flow::{Flow, Heat};
 use hydrograd::sph::kernels::{Kernel, KernelName};
+use hydrograd::sph::laws::buoyancy::Buoyancy;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::solver::{Snapshot, Solver, TensorSolver};
 use hydrograd::sph::Sweeps;
@@ -169,6 +170,14 @@ pub fn verlet<R: Sweeps>(dimension: usize, heat: bool) -> Case<R> {
     let mut normal = Normal::new(stream(dimension as u64, "rates"));
     state.resize_with(model.layout.state_rows() * model.particles(), || normal.next());
     Case { name: format!("{}, verlet", case.name), model: Arc::new(model), state }
+}
+
+/// The same with buoyancy.
+pub fn buoyant<R: Sweeps>(case: Case<R>) -> Case<R> {
+    let Consistent { flow, layout, fits, .. } = Arc::into_inner(case.model).unwrap();
+    let buoyancy = Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04);
+    let model = Consistent::new(Flow { buoyancy, ..flow }, layout, fits);
+    Case { name: format!("{}, buoyancy", case.name), model: Arc::new(model), ..case }
 }
 
 /// The heated channel of the defaults over a curved wall, with settings.

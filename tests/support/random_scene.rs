@@ -6,6 +6,7 @@ use hydrograd::particles::{tag, Domain};
 use hydrograd::sph::flow::{Flow, Heat, Materials};
 use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
+use hydrograd::sph::laws::buoyancy::Buoyancy;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
 use hydrograd::sph::laws::ArtificialViscosity;
 use hydrograd::sph::standard::chain::Step;
@@ -85,6 +86,8 @@ pub struct RandomScene {
     /// Heat conduction everywhere: no inlet, no outlet.
     pub open_everywhere: bool,
     pub body_force: BodyForce,
+    /// With heat.
+    pub buoyancy: Option<Buoyancy>,
     pub walls_slide: bool,
 }
 
@@ -150,6 +153,8 @@ impl RandomScene {
                 true => BodyForce::Gravity([0.7, -2.3, 1.1]),
                 false => BodyForce::Band { strength: 2.3, from: 0.3 * size[1], to: 0.6 * size[1] },
             },
+            buoyancy: Buoyancy::new(1.7, &[0.7, -2.3, 1.1], 0.04)
+                .filter(|_| options.seed % 2 == 1 || options.seed % 5 == 2),
             walls_slide: options.seed % 3 == 1,
         }
     }
@@ -175,6 +180,7 @@ impl RandomScene {
             mass: options.typical_mass(),
             viscosity: 0.3,
             body_force: self.body_force,
+            buoyancy: self.buoyancy.filter(|_| options.heat),
             walls_slide: self.walls_slide,
             heat: options.heat.then(|| Heat {
                 conductivity: 7.313,

@@ -32,6 +32,25 @@ pub fn heat(part: f64) -> Color {
     }
 }
 
+/// Colour of a value between -1 (blue), 0 (white) and 1 (red).
+pub fn signed(value: f64) -> Color {
+    match value.is_nan() {
+        true => [0, 200, 0],
+        false => between(
+            &[
+                [5, 48, 97],
+                [67, 147, 195],
+                [209, 229, 240],
+                [250, 250, 250],
+                [253, 219, 199],
+                [214, 96, 77],
+                [103, 0, 31],
+            ],
+            0.5 * (value + 1.0),
+        ),
+    }
+}
+
 /// From light (0) to dark (1) blue, for lines in an order.
 pub fn shade(part: f64) -> Color {
     between(&[[196, 218, 238], [120, 174, 214], [42, 110, 180], [8, 38, 96]], part)

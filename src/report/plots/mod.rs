@@ -6,6 +6,7 @@ pub mod axis;
 pub mod colors;
 mod compare;
 pub mod drawing;
+mod field;
 mod history;
 pub mod lines;
 mod relief;
@@ -16,6 +17,7 @@ mod training;
 mod wall_shapes;
 
 pub use compare::compare;
+pub use field::{fields, Field, FieldPanel};
 pub use history::{history, HistoryPoint};
 pub use relief::{relief, ReliefPanel};
 pub use side_by_side::{side_by_side, SideBySide};

@@ -130,13 +130,25 @@ fn legend(drawing: &mut Drawing, (mut x, y): Point, panels: &[TemperaturePanel])
     }
 }
 
-pub(super) fn color_bar(drawing: &mut Drawing, (left, top): Point, height: f64, (low, high): (f64, f64), label: &str) {
+pub(super) fn color_bar(drawing: &mut Drawing, corner: Point, height: f64, range: (f64, f64), label: &str) {
+    color_bar_of(colors::heat, drawing, corner, height, range, label);
+}
+
+/// A bar of other colours, which a function gives for parts from 0 to 1.
+pub(super) fn color_bar_of(
+    color: impl Fn(f64) -> Color,
+    drawing: &mut Drawing,
+    (left, top): Point,
+    height: f64,
+    (low, high): (f64, f64),
+    label: &str,
+) {
     const STRIPES: usize = 200;
     const WIDTH: f64 = 22.0;
     let stripe = height / STRIPES as f64;
     for index in 0..STRIPES {
         let part = 1.0 - (index as f64 + 0.5) / STRIPES as f64;
-        drawing.rectangle((left, top + stripe * index as f64), WIDTH, stripe, colors::heat(part), 1.0);
+        drawing.rectangle((left, top + stripe * index as f64), WIDTH, stripe, color(part), 1.0);
     }
     let frame = PlotArea { left, top, width: WIDTH, height, x: Axis::linear(0.0, 1.0), y: Axis::linear(low, high) };
     frame.outline(drawing);

@@ -3,7 +3,7 @@
 //! Newton's method uses the fused residual, matrix and adjoint; this one has the same equations written once more, and candle's
 //! autograd gives its derivatives by state and positions, to which those are compared.
 
-use super::equations::{Buoyancy, Equations, Motion, Warmth};
+use super::equations::{Equations, Motion, Warmth};
 use super::fit::{Stencils, LEFT};
 use crate::sph::consistent::composed::{factorised, solved};
 use candle_core::{Device, Result, Tensor};
@@ -98,7 +98,7 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
     };
     let damping = Tensor::new(equations.damping.clone(), &Device::Cpu)?;
     let lifted = |row: Tensor, e: usize| match equations.buoyancy {
-        Some(Buoyancy { by, at }) => row - t.affine(by[e], -by[e] * at)?,
+        Some(lift) => row - t.affine(lift.by[e], -lift.by[e] * lift.at)?,
         None => Ok(row),
     };
     let within = [

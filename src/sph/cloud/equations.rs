@@ -15,6 +15,7 @@
 
 use super::fit::{Coefficients, Stencils, COEFFICIENTS, LEFT};
 use crate::numerics::sparse_lu::BlockMatrix;
+use crate::sph::laws::buoyancy::Buoyancy;
 
 /// Weight of S T beside the derivative across a wall, in scales of the fit. (Without it the temperatures of a disc with a given flux
 /// oscillate from point to point where it is badly resolved: its shape then meets one without a solution within 0.02 dx, with 1 in
@@ -61,20 +62,6 @@ pub struct State {
 impl State {
     pub fn at_rest(particles: usize) -> Self {
         Self { fields: std::array::from_fn(|_| vec![0.0; particles]), lambda: 0.0, drive: 0.0 }
-    }
-}
-
-/// A force by the temperature: `by` (T - `at`), per unit of density (Boussinesq's approximation: minus the expansion times gravity).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Buoyancy {
-    pub by: [f64; 2],
-    pub at: f64,
-}
-
-impl Buoyancy {
-    /// The force along e at a temperature.
-    pub fn along(&self, e: usize, temperature: f64) -> f64 {
-        self.by[e] * (temperature - self.at)
     }
 }
 

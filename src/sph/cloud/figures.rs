@@ -14,6 +14,7 @@
 
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, Warmth};
 use super::fit::Coefficients;
+use super::interpolation::Sample;
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
 use super::wall_fit::WallFit;
@@ -40,18 +41,11 @@ pub enum Figure {
     Dissipation,
 }
 
-/// A place of a cross-section: nearest particle, position and weight.
-#[derive(Debug, Clone, Copy)]
-struct Sample {
-    particle: usize,
-    place: [f64; 2],
-    weight: f64,
-}
-
 /// What figures need beside the state.
 #[derive(Debug)]
 pub struct Measures {
-    section: Vec<Sample>,
+    /// Points of a cross-section with their weights.
+    section: Vec<(Sample, f64)>,
     probes: Vec<Sample>,
     wall_fits: Vec<Option<WallFit>>,
     /// Indices of boundary points by shape.
@@ -154,11 +148,11 @@ impl Measures {
         let near = super::nearest::Nearest::new(plane, cloud.ground.dx, &places.place);
         let rows = cloud.ground.cells(&places.corners)[1];
         let step = (high[1] - low[1]) / rows as f64;
-        let sample = |p: [f64; 2], weight: f64| {
+        let sample = |p: [f64; 2]| {
             let (_, particle) = near.one(p, 2.0 * cloud.ground.far * cloud.ground.dx)?;
             let own = places.place[particle];
             let r = plane.between(own, p);
-            Some(Sample { particle, place: [own[0] + r[0], own[1] + r[1]], weight })
+            Some(Sample { particle, place: [own[0] + r[0], own[1] + r[1]] })
         };
         let mut section = vec![];
         for row in 0..rows {
@@ -169,12 +163,11 @@ impl Measures {
                 if cloud.ground.is_in_wall(&places.polygons, p, None).is_some() {
                     continue;
                 }
-                section.extend(sample(p, 0.5 * step));
+                section.extend(sample(p).map(|sample| (sample, 0.5 * step)));
             }
         }
         // What is too far from particles is refused before.
-        let probes =
-            probes.iter().map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 })).collect();
+        let probes = probes.iter().map(|p| sample(*p).unwrap_or(Sample { particle: 0, place: *p })).collect();
         let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
         let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
         let wall_fits = cloud.wall_fits.clone();
@@ -196,7 +189,7 @@ impl Measures {
 
     /// The particles at which derivatives are read, besides those on the boundary.
     pub fn read_at(&self) -> Vec<usize> {
-        self.section.iter().chain(&self.probes).map(|sample| sample.particle).collect()
+        self.section.iter().map(|(sample, _)| sample).chain(&self.probes).map(|sample| sample.particle).collect()
     }
 
     /// Whether a shape has a point on the boundary of the fluid.
@@ -204,25 +197,16 @@ impl Measures {
         !self.points[shape].is_empty()
     }
 
-    /// The Taylor polynomial's monomials from a sample's particle to its place.
-    fn monomials(sample: &Sample, position: &[Vec<f64>; 2]) -> [f64; 5] {
-        let [x, y]: [f64; 2] = std::array::from_fn(|d| sample.place[d] - position[d][sample.particle]);
-        [x, y, 0.5 * x * x, x * y, 0.5 * y * y]
-    }
-
     fn sampled(sample: &Sample, at: &At<'_>, field: usize) -> f64 {
-        let q = Self::monomials(sample, &at.shaped.position);
-        let d = &at.d.0[field][sample.particle];
-        at.state.fields[field][sample.particle] + (0..5).map(|a| q[a] * d[a]).sum::<f64>()
+        sample.value(&at.shaped.position, &at.state.fields[field], &at.d.0[field])
     }
 
     fn sampled_back(sample: &Sample, at: &At<'_>, field: usize, weight: f64, bar: &mut Bar) {
-        let (i, q) = (sample.particle, Self::monomials(sample, &at.shaped.position));
-        let d = &at.d.0[field][i];
+        let (i, q) = (sample.particle, sample.monomials(&at.shaped.position));
+        let slope = sample.slope(&at.shaped.position, &at.d.0[field]);
         bar.fields[field][i] += weight;
         (0..5).for_each(|a| bar.derivatives.0[field][i][a] += weight * q[a]);
-        bar.position[0][i] -= weight * (d[0] + d[2] * q[0] + d[3] * q[1]);
-        bar.position[1][i] -= weight * (d[1] + d[3] * q[0] + d[4] * q[1]);
+        (0..2).for_each(|d| bar.position[d][i] -= weight * slope[d]);
     }
 
     /// Area of the fluid.
@@ -353,9 +337,9 @@ impl Measures {
 
     pub fn value(&self, figure: Figure, at: &At<'_>) -> f64 {
         match figure {
-            Figure::FlowRate => self.section.iter().map(|s| s.weight * Self::sampled(s, at, 0)).sum(),
+            Figure::FlowRate => self.section.iter().map(|(s, weight)| weight * Self::sampled(s, at, 0)).sum(),
             Figure::HeatOutflow => {
-                self.section.iter().map(|s| s.weight * Self::sampled(s, at, 0) * Self::sampled(s, at, 3)).sum()
+                self.section.iter().map(|(s, weight)| weight * Self::sampled(s, at, 0) * Self::sampled(s, at, 3)).sum()
             }
             Figure::Force { shape, along } => {
                 let own = self.surface_force(at, shape, along);
@@ -437,13 +421,13 @@ impl Measures {
     pub fn pull_back(&self, figure: Figure, at: &At<'_>, weight: f64, bar: &mut Bar) {
         match figure {
             Figure::FlowRate => {
-                self.section.iter().for_each(|s| Self::sampled_back(s, at, 0, weight * s.weight, bar));
+                self.section.iter().for_each(|(s, own)| Self::sampled_back(s, at, 0, weight * own, bar));
             }
             Figure::HeatOutflow => {
-                for s in &self.section {
+                for (s, own) in &self.section {
                     let (u, t) = (Self::sampled(s, at, 0), Self::sampled(s, at, 3));
-                    Self::sampled_back(s, at, 0, weight * s.weight * t, bar);
-                    Self::sampled_back(s, at, 3, weight * s.weight * u, bar);
+                    Self::sampled_back(s, at, 0, weight * own * t, bar);
+                    Self::sampled_back(s, at, 3, weight * own * u, bar);
                 }
             }
             Figure::Force { shape, along } => {

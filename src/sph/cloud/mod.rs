@@ -14,6 +14,7 @@ pub mod deformation;
 pub mod equations;
 pub mod figures;
 pub mod fit;
+pub mod interpolation;
 pub mod nearest;
 pub mod outline;
 pub mod particles;

@@ -1,11 +1,12 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
 use super::deformation::Deformation;
-use super::equations::{Bar, BoundaryBar, Buoyancy, Condition, Equations, Motion, Warmth};
+use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::nearest::{Nearest, Plane};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
 use super::wall_fit::{self, WallFit};
+use crate::sph::laws::buoyancy::Buoyancy;
 use std::fmt::Debug;
 
 /// Neighbours of the fits. (Measured around ten bodies in a channel, dx = 0.02. With 16 to 18 the heat is at most 0.6, 0.4 and 0.3 % off

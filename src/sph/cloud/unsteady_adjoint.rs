@@ -121,7 +121,7 @@ impl Taken<'_> {
                 let y = march.transposed(a0, self.operators, &right, drive)?;
                 let mut earlier = zero.clone();
                 let mut heat = vec![];
-                let by = march.equations().buoyancy.map_or([0.0; 2], |buoyancy| buoyancy.by);
+                let by = march.equations().buoyancy.map_or([0.0; 3], |buoyancy| buoyancy.by);
                 if has_heat {
                     let mut right_t = std::mem::take(&mut right[3]);
                     for i in 0..inside {

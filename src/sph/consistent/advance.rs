@@ -1,7 +1,7 @@
 //! The end of a step: velocity, temperature and place of the fluid from their rates.
 //!
 //! ```text
-//!   u += dt (-grad p / rho + nu lap u + g + w.grad u)
+//!   u += dt (-grad p / rho + nu lap u + g - beta (T - T0) g + w.grad u)
 //!   T += dt (alpha lap T + w.grad T)            not upstream of the inlet's end, nor downstream of the outlet's beginning
 //!   r += dt (u + w)                             with the new u
 //! ```
@@ -108,7 +108,7 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
             let set = |row: usize, value: R| self.state.set(row * n + i, value);
             let mut x = R::default();
             for k in 0..D {
-                let given = R::of(geometry.model.body_force.along(k, known(1).f64()));
+                let given = R::of(geometry.model.given(k, known(1).f64(), || known(l.temperature()).f64()));
                 let rate = acceleration[k] + given;
                 let (velocity, mean) = match l.rates {
                     true => {
@@ -225,6 +225,9 @@ impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
                 carry(k, rate_bar, &mut shift_bar);
                 spread(k, factors.viscosity * rate_bar);
                 gradient(k, -(factors.inverse_density * rate_bar));
+                if let Some(buoyancy) = &model.buoyancy {
+                    add(l.temperature(), R::of(buoyancy.by[k]) * rate_bar);
+                }
             }
             gradient(q, bar(l.pressure()));
             if l.heat {

@@ -423,7 +423,7 @@ pub fn advance<R: Real>(
     let filled = around.wall_values(&known, &p)?;
     let slopes = gradient(&around.fit(&factors[PRESSURE], PRESSURE, &filled)?)?;
     // Advance.
-    let given = model.body_force.vector(&position)?;
+    let given = model.given_composed(&position, &known, l.temperature())?;
     let (mut velocities, mut rates) = (Vec::new(), Vec::new());
     // Corrects the field by the difference between the present rate and the last one, which predicted it.
     let corrected = |field: &Tensor, rate: &Tensor, row: usize| -> Result<Tensor> {

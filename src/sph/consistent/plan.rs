@@ -59,6 +59,7 @@ pub fn operators<R: Sweeps>(model: &Consistent<R>, list: &NeighbourList) -> Vec<
         (l.heat, "conduction"),
         (l.heat, "inlet temperature"),
         (model.body_force != BodyForce::None, "body force"),
+        (model.buoyancy.is_some(), "buoyancy"),
     ]);
     let read = known + derivatives(l.fields()) + derivatives(1);
     all.push(operator("advance", does, fluid + walls, 0, read, known, 0));

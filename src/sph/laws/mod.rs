@@ -8,6 +8,7 @@
 
 pub mod artificial_viscosity;
 pub mod body_force;
+pub mod buoyancy;
 pub mod conduction;
 pub mod continuity;
 pub mod density_diffusion;

@@ -289,7 +289,8 @@ pub fn rate<R: Real>(step: &Step<R>, pairs: &Pairs, moved: &Tensor) -> Result<Te
         }
         Flux::Riemann(law) => {
             let position = moved.narrow(0, 0, l.dimension)?;
-            let (given, normals) = (model.body_force.vector(&position)?, normals(step, moved)?);
+            let given = model.given_composed(&position, moved, l.moved_temperature())?;
+            let normals = normals(step, moved)?;
             let (state, velocity) = (model.equation_of_state, &velocity);
             law.density_rate(&Surroundings { pairs, state, given: &given, normals: &normals, velocity }, &flowing)
         }

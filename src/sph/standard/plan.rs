@@ -96,6 +96,9 @@ fn laws<R: Sweeps>(model: &Standard<R>) -> Vec<String> {
     if model.body_force != BodyForce::None {
         names.push("body force");
     }
+    if model.buoyancy.is_some() {
+        names.push("buoyancy");
+    }
     names.into_iter().map(String::from).collect()
 }
 

@@ -128,7 +128,8 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
             };
             let inverse_mass = R::of(1.0) / self.mass.of(i);
             for d in 0..D {
-                let given = R::of(model.body_force.along(d, record[1].f64()));
+                let temperature = || record[record_temperature(D, W::TRANSPORT)].f64();
+                let given = R::of(model.given(d, record[1].f64(), temperature));
                 self.rates.set(d * n + i, sums.force[d].sum() * inverse_mass + given);
                 if W::TRANSPORT {
                     self.rates.set((D + d) * n + i, vacuum * sums.spread[d].sum() * inverse_mass);
@@ -277,7 +278,14 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
                 }
             }
             if W::HEAT {
-                self.primitives_bar.set(l.primitive_temperature() * n + i, bar.temperature.sum());
+                let mut temperature_bar = bar.temperature.sum();
+                if let Some(buoyancy) = &model.buoyancy {
+                    // (The records have the cotangents over the mass, zeros for walls.)
+                    for d in 0..D {
+                        temperature_bar += R::of(buoyancy.by[d]) * self.bars.of(i)[d] * self.mass.of(i);
+                    }
+                }
+                self.primitives_bar.set(l.primitive_temperature() * n + i, temperature_bar);
             }
             self.primitives_bar.set(i, density_bar);
             if l.mass {
@@ -321,7 +329,8 @@ impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
             for k in 0..d {
                 let a = self.rates_bar[k * n + i];
                 bar[k] = a * inverse_mass;
-                let given = R::of(model.body_force.along(k, self.moved[n + i].f64()));
+                let temperature = l.moved_temperature() * n + i;
+                let given = R::of(model.given(k, self.moved[n + i].f64(), || self.moved[temperature].f64()));
                 if l.mass {
                     power += a * (self.rates[k * n + i] - given);
                 }
@@ -407,7 +416,7 @@ pub fn composed<R: Real>(
         mass: mass.clone(),
     };
     let mut sums = PairTensors::default();
-    let given = model.body_force.vector(&moved.narrow(0, 0, d)?)?;
+    let given = model.given_composed(&moved.narrow(0, 0, d)?, primitives, l.primitive_temperature())?;
     if let Flux::Riemann(law) = &model.laws.flux {
         let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
         let velocity = moved.narrow(0, l.velocity(), d)?;

@@ -10,7 +10,7 @@
 //!   puts the isotherm where the wall is instead of half a spacing behind it.
 //!
 //! eps = 2.2e-16 (f64's machine epsilon, in f32 too: the sums it guards have the same size there).
-//! A body force across walls, which gravity is, adds g.sum_j rho_j r_ij W_ij to the sum of pressures (their eq. 27). Where
+//! A body force across walls, which gravity with buoyancy is, adds sum_j rho_j g_j.r_ij W_ij to the sum of pressures (their eq. 27). Where
 //! the flow slips along the walls, `<u> + 2 n n.(u_wall - <u>)` with the wall's normal n: only what crosses the wall turns
 //! around. In Riemann problems walls keep their own density, see [`crate::sph::laws::riemann`].
 //!
@@ -28,7 +28,7 @@ use crate::numerics::lanes::{Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::laws::body_force::BodyForce;
-use crate::sph::laws::{Flux, Slip};
+use crate::sph::laws::{dot, Flux, Slip};
 use crate::sph::masks;
 use crate::sph::own::Own;
 use crate::sph::pairs::{
@@ -90,23 +90,41 @@ fn averaged<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool, 
     fields
 }
 
-/// A body force that is felt across walls.
-#[inline(always)]
-fn across_walls<R: Real, L: Lanes<Real = R>>(step: &Step<R>) -> Option<[L; 3]> {
-    match step.model.body_force {
-        BodyForce::Gravity([x, y, z]) => Some([L::splat(R::of(x)), L::splat(R::of(y)), L::splat(R::of(z))]),
-        _ => None,
+/// A body force that is felt across walls: gravity, and buoyancy by the temperature of each fluid particle.
+struct AcrossWalls<L> {
+    gravity: [L; 3],
+    /// `by` and `at`, see [`crate::sph::laws::buoyancy`].
+    buoyancy: Option<([L; 3], L)>,
+}
+
+impl<R: Real, L: Lanes<Real = R>> AcrossWalls<L> {
+    #[inline(always)]
+    fn of(step: &Step<R>) -> Option<Self> {
+        let BodyForce::Gravity(gravity) = step.model.body_force else { return None };
+        let vector = |v: [f64; 3]| [L::splat(R::of(v[0])), L::splat(R::of(v[1])), L::splat(R::of(v[2]))];
+        let buoyancy = step.model.buoyancy.map(|buoyancy| (vector(buoyancy.by), L::splat(R::of(buoyancy.at))));
+        Some(Self { gravity: vector(gravity), buoyancy })
+    }
+
+    /// The acceleration of fluid.
+    #[inline(always)]
+    fn at<const D: usize, const TRANSPORT: bool, const HEAT: bool>(&self, f: &Fields<L>) -> [L; D] {
+        let mut felt = [L::zero(); D];
+        felt.copy_from_slice(&self.gravity[..D]);
+        if let (Some((by, at)), true) = (&self.buoyancy, HEAT) {
+            let excess = get(f, record_temperature(D, TRANSPORT)) - *at;
+            for d in 0..D {
+                felt[d] = by[d].mul_add(excess, felt[d]);
+            }
+        }
+        felt
     }
 }
 
 /// rho_j g . r for r from fluid j to a wall, and p_j with it.
 #[inline(always)]
-fn lifted<L: Lanes, const D: usize>(gravity: &[L; 3], r: &[L; D], there: &Fields<L>, pressure: L) -> L {
-    let mut along = L::zero();
-    for d in 0..D {
-        along = gravity[d].mul_add(r[d], along);
-    }
-    get(there, D + 1).mul_add(along, pressure)
+fn lifted<L: Lanes, const D: usize>(gravity: &[L; D], r: &[L; D], there: &Fields<L>, pressure: L) -> L {
+    get(there, D + 1).mul_add(dot(gravity, r), pressure)
 }
 
 /// Sums of W and of W times the fields over a wall particle's row. `records` are those of the step, of fluid at least.
@@ -119,7 +137,7 @@ fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool,
     i: usize,
 ) -> (L, Averages<L, D>) {
     let here = splat_fields::<L>(position.of(i), 4);
-    let gravity = across_walls::<R, L>(step);
+    let across = AcrossWalls::<L>::of(step);
     let mut weight = L::zero();
     let mut sums = Averages::<L, D>::all(L::zero());
     for (names, mask) in pairs::row::<L>(&step.list, i) {
@@ -129,8 +147,9 @@ fn wall_sums<R: Real, L: Lanes<Real = R>, const D: usize, const TRANSPORT: bool,
         let w = mask.apply(geometry.kernel.value(r2));
         weight += w;
         let mut fields = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
-        if let Some(gravity) = &gravity {
-            fields.pressure = lifted::<L, D>(gravity, &dr, &there, fields.pressure);
+        if let Some(across) = &across {
+            let gravity = across.at::<D, TRANSPORT, HEAT>(&there);
+            fields.pressure = lifted::<L, D>(&gravity, &dr, &there, fields.pressure);
         }
         for d in 0..D {
             sums.velocity[d] = w.mul_add(fields.velocity[d], sums.velocity[d]);
@@ -426,14 +445,15 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             // The wall particle's position: e_ij = weight_bar + sum_q sums_bar_q x_q(j), r_bar = sum_j e_ij F r_ij.
             let here = splat_fields::<L>(position.of(i), 4);
             let by_field = sums_bar.map(|bar| L::splat(bar));
-            let gravity = across_walls::<R, L>(step);
+            let across = AcrossWalls::<L>::of(step);
             let mut sum = [L::zero(); D];
             for (names, mask) in pairs::row::<L>(list, i) {
                 let there = records.fields(fields, names);
                 let (dr, r2) = geometry.difference::<true>(&here[0], &there[0]);
                 let mut x = averaged::<R, L, D, TRANSPORT, HEAT>(step, &there);
-                if let Some(gravity) = &gravity {
-                    x.pressure = lifted::<L, D>(gravity, &dr, &there, x.pressure);
+                if let Some(across) = &across {
+                    let gravity = across.at::<D, TRANSPORT, HEAT>(&there);
+                    x.pressure = lifted::<L, D>(&gravity, &dr, &there, x.pressure);
                     // d(rho_j g.r)/dr = rho_j g.
                     let density = get(&there, D + 1);
                     let share = mask.apply(geometry.kernel.value(r2)) * by_field.pressure * density;
@@ -494,9 +514,11 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             let here = splat_fields::<L>(positions.of(j), 4);
             let mut sums = Averages::<L, D>::all(L::zero());
             let mut position = [L::zero(); D];
-            let gravity = across_walls::<R, L>(step);
-            // Of rho_j, by the force across walls.
-            let mut depth = L::zero();
+            let across = AcrossWalls::<L>::of(step);
+            let gravity = across.as_ref().map(|across| across.at::<D, TRANSPORT, HEAT>(&own));
+            let by = across.as_ref().and_then(|across| across.buoyancy.as_ref());
+            // Of rho_j and T_j, by the force across walls.
+            let (mut depth, mut warmth) = (L::zero(), L::zero());
             for (names, mask) in pairs::part::<L>(list, j, from, to) {
                 // Fluid particles among them are masked; their records of cotangents are zero.
                 let ([there], bar) = (positions.groups(names), self.sums_bar.fields(bar_fields, names));
@@ -517,6 +539,11 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
                     depth = share.mul_add(along, depth);
                     for d in 0..D {
                         position[d] = position[d] - share * density * gravity[d];
+                    }
+                    if let (Some((by, _)), true) = (by, HEAT) {
+                        for d in 0..D {
+                            warmth = warmth - share * density * by[d] * dr[d];
+                        }
                     }
                 }
                 let mut e = get(at).mul_add(pressure, get(0));
@@ -548,6 +575,9 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             }
             if HEAT {
                 add(l.moved_old_temperature(), sums.temperature.sum());
+                if by.is_some() {
+                    add(l.moved_temperature(), warmth.sum());
+                }
             }
             let slope = model.equation_of_state.slope(record[D + 1]);
             self.density_bar.add(j, sums.pressure.sum() * slope + depth.sum());
@@ -676,7 +706,7 @@ pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor
     let state = model.equation_of_state;
     let mut pressure = average(&state.pressure_composed(density)?)?;
     if let BodyForce::Gravity(_) = model.body_force {
-        let given = pairs.own(&model.body_force.vector(&moved.narrow(0, 0, d)?)?)?;
+        let given = pairs.other(&model.given_composed(&moved.narrow(0, 0, d)?, moved, l.moved_temperature())?)?;
         let depth = given.mul(&pairs.difference)?.sum_keepdim(0)?.mul(&pairs.other(density)?)?.mul(&w)?;
         pressure = (pressure + depth.sum(2)?.mul(&inverse)?)?;
     }
