@@ -14,7 +14,8 @@ use crate::numerics::threads::{count, in_words};
 use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::around_shapes::AroundShapes;
+use crate::scene::around_flow::Flowed;
+use crate::scene::around_shapes::{AroundShapes, Judged};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
@@ -323,17 +324,12 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let first = around.first();
     let lap = |clock: Instant| (clock.elapsed().as_secs_f64(), Instant::now());
     // Steps of a flow in time are chosen once, for all that it is compared with.
-    let (history, value, gradient, solved, clock) = if config.unsteady().is_some() {
-        let (history, _) = around.march(&first, None, &mut |_, _| Ok(()))?;
-        let (solved, clock) = lap(clock);
-        let gradient = around.march_gradient(&first, &history)?;
-        let value = history.objective(around.window());
-        (Some(history), value, gradient, solved, clock)
-    } else {
-        let solution = around.solve(&first)?;
-        let (value, terms) = around.objective(&solution);
-        let (solved, clock) = lap(clock);
-        (None, value, around.gradient(&solution, &terms)?, solved, clock)
+    let flow = around.flow(&first, None, &mut |_| ())?;
+    let (solved, clock) = lap(clock);
+    let Judged { value, by_variables: gradient } = around.judged(&flow, &first)?;
+    let sizes = match flow {
+        Flowed::Steady(_) => None,
+        Flowed::InTime(history) => Some(history.sizes),
     };
     let seconds = clock.elapsed().as_secs_f64();
     let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
@@ -349,22 +345,14 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
             _ => STEP * surface,
         };
         // Differences of flows in time are not as smooth.
-        let step = if history.is_some() { 0.25 * step } else { step };
+        let step = if sizes.is_some() { 0.25 * step } else { step };
         // Richardson's extrapolation of two central differences.
         let mut central = |step: f64| -> Result<f64, Error> {
             let mut at = |x: f64| {
                 let mut moved = first.clone();
                 moved[k] += x;
-                Ok::<f64, Error>(match &history {
-                    Some(history) => {
-                        let (moved, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(()))?;
-                        moved.objective(around.window())
-                    }
-                    None => {
-                        let solution = around.solve(&moved)?;
-                        around.objective(&solution).0
-                    }
-                })
+                let flow = around.flow(&moved, sizes.as_deref(), &mut |_| ())?;
+                around.objective_of(&flow, &moved)
             };
             Ok((at(step)? - at(-step)?) / (2.0 * step))
         };

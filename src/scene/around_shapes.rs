@@ -313,7 +313,7 @@ impl AroundShapes {
         self.terms_at(&self.flow.at(solution), asked)
     }
 
-    fn terms_at(&self, at: &At<'_>, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
+    pub fn terms_at(&self, at: &At<'_>, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
         let part = |asked: &Asked, weight: f64| -> Vec<(Figure, f64)> {
             self.figures(asked).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
         };
@@ -368,12 +368,17 @@ impl AroundShapes {
     pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
         let wanted = self.wanted.clone();
         let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
-        match found.iter().position(|g| !g.is_finite()) {
+        self.check_finite(&found)?;
+        Ok(found)
+    }
+
+    pub(super) fn check_finite(&self, gradient: &[f64]) -> Result<(), Error> {
+        match gradient.iter().position(|g| !g.is_finite()) {
             Some(k) => Err(Error::diverged(
-                format!("the gradient by variable {k} is {}", found[k]),
-                "resolution.dx smaller by a third",
+                format!("the gradient by {} is {}", self.config.variables[k].number, gradient[k]),
+                finer(&self.config),
             )),
-            None => Ok(found),
+            None => Ok(()),
         }
     }
 

@@ -4,6 +4,7 @@
 //! exact solution), from which [`assembly`] makes a [`Scene`]. A new verification flow needs its TOML and an arm in
 //! [`flows`].
 pub mod accuracy;
+pub mod around_flow;
 pub mod around_in_time;
 pub mod around_shapes;
 pub mod assembly;
@@ -22,6 +23,7 @@ mod lattice;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
+pub mod periods;
 pub mod plausible;
 pub mod record;
 pub mod shape_search;
