@@ -212,7 +212,7 @@ impl AroundShapes {
         &self.config
     }
 
-    /// Searches and their checks are of steady flows.
+    /// Checks that the flow is a steady one.
     ///
     /// # Errors
     /// A flow in time.
@@ -221,7 +221,7 @@ impl AroundShapes {
             None => Ok(()),
             Some(_) => {
                 Err(BadInput::at("method.flow", "method.flow = unsteady, and this needs a steady flow".to_string())
-                    .allowed("steady; of a flow in time simulate, and check-gradient for its derivative")
+                    .allowed("steady; of a flow in time simulate, optimize, verify, and check-gradient for its derivative")
                     .advice("method.flow=steady"))
             }
         }

@@ -24,6 +24,8 @@ use crate::numerics::curve::{rises, sum, Curve};
 
 /// Crossings of a mean count after the curve was below it by this share of its width.
 const BAND: f64 = 0.1;
+/// A figure whose width is a smaller share of its mean does not oscillate: what is left is rounding.
+const STILL: f64 = 1e-6;
 
 /// A period that is given, with its derivative by every variable.
 #[derive(Debug, Clone, PartialEq)]
@@ -110,7 +112,7 @@ impl Window {
         let level = sum_of(&half.weights, objective);
         let late = || objective.iter().zip(times).filter(|(_, &time)| time >= half.from).map(|(value, _)| *value);
         let width = late().fold(f64::NEG_INFINITY, f64::max) - late().fold(f64::INFINITY, f64::min);
-        let found = rises(objective, level, BAND * width);
+        let found = if width > STILL * level.abs() { rises(objective, level, BAND * width) } else { vec![] };
         if found.len() < count + 1 {
             return Err(TooFew(found.len().saturating_sub(1)));
         }
