@@ -12,7 +12,7 @@ use hydrograd::scene::shape_search::Search;
 const TURNING: &str = "scene = \"custom\"\nregion.size = [1.0, 0.5]\n\
     region.sides.left = { kind = \"inflow\", velocity = [\"4*y*(0.5 - y)/0.25\", 0] }\nregion.sides.right = { kind = \"outflow\" }\n\
     fluid.viscosity = 0.02\ninitial.velocity = [\"4*y*(0.5 - y)/0.25\", 0]\n\
-    resolution.dx = 0.0625\nmethod.name = \"fixed\"\nmethod.flow = \"unsteady\"\ntime.end = 1.0\ntime.step = 0.008\n\
+    resolution.dx = 0.0625\nmethod.name = \"fixed\"\nmethod.flow = \"unsteady\"\ntime.end = 2.0\ntime.step = 0.008\n\
     objective.kind = \"drag\"\nobjective.goal = \"smaller\"\nobjective.periods = 2\n";
 const DISC: &str = "[[shapes]]\nkind = \"disc\"\ncentre = [0.35, 0.2]\nradius = 0.08\nparameters = [1.0, 21.0]\n\
     velocity = [\"p0*sin(p1*t)*(0.2 - y)/0.08\", \"p0*sin(p1*t)*(x - 0.35)/0.08\"]\n";
@@ -110,9 +110,8 @@ fn the_derivative_of_a_mean_is_that_of_differences() {
         assert_eq!(by_values[k], window.weights[k]);
     }
     // By a period's length.
-    let mean = |length: f64| {
-        Window::of_length(&times, 3, &Period { length, by_variables: vec![1.0] }).unwrap().mean(&other)
-    };
+    let mean =
+        |length: f64| Window::of_length(&times, 3, &Period { length, by_variables: vec![1.0] }).unwrap().mean(&other);
     let length = 2.6;
     let exact = Window::of_length(&times, 3, &Period { length, by_variables: vec![1.0] }).unwrap();
     let exact = exact.slopes(&times, &other).by_variables[0];
@@ -134,8 +133,9 @@ fn a_turning_disc_has_the_mean_drag_of_its_periods() {
     let off = window.irregularity(&history.times(), &history.values(&|moment| moment.objective)).unwrap();
     assert!(off[1] < 2e-3, "not periodic: {off:?}");
     // Once more with a fifth of the step, by a sum of straight lines over the two periods.
-    let (_, fine) = run(&turning("time.step = 0.0016\nobjective.period = \"2*PI/p1\"").replace("time.step = 0.008\n", ""));
-    let from = 1.0 - 4.0 * std::f64::consts::PI / 21.0;
+    let (_, fine) =
+        run(&turning("time.step = 0.0016\nobjective.period = \"2*PI/p1\"").replace("time.step = 0.008\n", ""));
+    let from = 2.0 - 4.0 * std::f64::consts::PI / 21.0;
     let (mut integral, mut length) = (0.0, 0.0);
     for pair in fine.moments.windows(2).filter(|pair| pair[1].time > from) {
         let [a, b] = [&pair[0], &pair[1]];
@@ -207,7 +207,7 @@ fn what_periods_cannot_be_is_refused_by_name() {
     };
     refuses(&turning("").replace("periods = 2", "periods = 0"), &["objective.periods = 0", "1 <= objective.periods"]);
     refuses(&turning("objective.window = 0.3"), &["objective.periods", "objective.window", "one of them"]);
-    refuses(&turning("objective.period = 0.6"), &["objective.periods", "at most 1", "time.end=2.4"]);
+    refuses(&turning("objective.period = 1.2"), &["objective.periods", "at most 1", "time.end=4.8"]);
     refuses(&turning("objective.period = \"2*PI/p2\""), &["objective.period", "p2", "first shape"]);
     refuses(&turning("objective.period = \"2*PI/x\""), &["objective.period", "`x` is unknown"]);
     refuses(&turning("objective.period = \"0 - p1\""), &["objective.period", "-21", "2*PI/p1"]);
@@ -221,7 +221,8 @@ fn what_periods_cannot_be_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("scene.toml");
     std::fs::write(&file, turning("objective.period = \"2*PI/p1\"")).unwrap();
-    let config = Config::load(Some(file.to_str().unwrap()), None, &["objective.window=0.25".to_string()]).unwrap().config;
+    let config =
+        Config::load(Some(file.to_str().unwrap()), None, &["objective.window=0.25".to_string()]).unwrap().config;
     assert_eq!((config.objective.periods, config.objective.period, config.objective.window), (None, None, 0.25));
 }
 
@@ -229,7 +230,8 @@ fn what_periods_cannot_be_is_refused_by_name() {
 #[test]
 fn a_run_without_whole_periods_says_so() {
     let folder = tempfile::tempdir().unwrap();
-    let still = turning("").replace("parameters = [1.0, 21.0]", "parameters = [0.5, 15.0]").replace("sin(p1*t)", "p1/30");
+    let still =
+        turning("").replace("parameters = [1.0, 21.0]", "parameters = [0.5, 15.0]").replace("sin(p1*t)", "p1/30");
     std::fs::write(folder.path().join("scene.toml"), still).unwrap();
     let output = hydrograd(folder.path(), &["simulate", "scene.toml", "--out", "run"]);
     let text = String::from_utf8_lossy(&output.stdout).to_string() + &String::from_utf8_lossy(&output.stderr);

@@ -89,11 +89,7 @@ impl Run {
 
     /// The fields at the end.
     pub fn fields(&self, around: &AroundShapes) -> ParticleFields {
-        ParticleFields {
-            time: around.config().time.end,
-            step: self.history.sizes.len(),
-            ..around.fields(&self.last)
-        }
+        ParticleFields { time: around.config().time.end, step: self.history.sizes.len(), ..around.fields(&self.last) }
     }
 
     /// Prints the mean, extremes and frequency of every figure, and the objective.
@@ -104,7 +100,11 @@ impl Run {
                 0 => "mean of the window".to_string(),
                 count => format!("mean of {} whole periods of {:.6}", count - 1, self.period()),
             };
-            println!("objective           {:.6}   {}, {over}", self.history.objective(&self.window), of_objective(config));
+            println!(
+                "objective           {:.6}   {}, {over}",
+                self.history.objective(&self.window),
+                of_objective(config)
+            );
         }
     }
 

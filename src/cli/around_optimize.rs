@@ -64,8 +64,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
         }
     };
     // The gradient takes about as long as two runs.
-    let mut progress =
-        |share: f64| bar.set_position(TICKS * done.get() + (share * TICKS as f64 / 3.0) as u64);
+    let mut progress = |share: f64| bar.set_position(TICKS * done.get() + (share * TICKS as f64 / 3.0) as u64);
     let found = search.run(config.optimise.epochs, &mut watch, &mut progress)?;
     bar.finish();
     let Found { history, best, .. } = &found;

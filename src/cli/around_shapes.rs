@@ -315,6 +315,8 @@ const TOLERANCE: f64 = 1e-6;
 /// Steps of differences: in spacings of the surface, and in degrees.
 const STEP: f64 = 0.04;
 const DEGREES: f64 = 0.05;
+/// In radians, at the end of a flow in time.
+const PHASE: f64 = 0.02;
 
 /// `hydrograd check-gradient`: value and gradient of the steady objective by every variable, and differences beside it.
 pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
@@ -344,8 +346,12 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
             Part::Parameter(_) => 4e-3 * first[k].abs().max(1e-2),
             _ => STEP * surface,
         };
-        // Differences of flows in time are not as smooth.
-        let step = if sizes.is_some() { 0.25 * step } else { step };
+        // Differences of flows in time are not as smooth, and a parameter may be a frequency, which moves phases by so much times the time.
+        let step = match (&sizes, numbers[k].part) {
+            (None, _) => step,
+            (Some(_), Part::Parameter(_)) => (0.25 * step).min(PHASE / config.time.end),
+            (Some(_), _) => 0.25 * step,
+        };
         // Richardson's extrapolation of two central differences.
         let mut central = |step: f64| -> Result<f64, Error> {
             let mut at = |x: f64| {

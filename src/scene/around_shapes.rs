@@ -221,7 +221,9 @@ impl AroundShapes {
             None => Ok(()),
             Some(_) => {
                 Err(BadInput::at("method.flow", "method.flow = unsteady, and this needs a steady flow".to_string())
-                    .allowed("steady; of a flow in time simulate, optimize, verify, and check-gradient for its derivative")
+                    .allowed(
+                        "steady; of a flow in time simulate, optimize, verify, and check-gradient for its derivative",
+                    )
                     .advice("method.flow=steady"))
             }
         }
