@@ -45,6 +45,7 @@ mod neighbours;
 mod numerics;
 mod operators;
 mod page;
+mod periods;
 mod plan;
 mod plots;
 mod random_configurations;

@@ -49,8 +49,10 @@ upper = 0.08
 "#;
 
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 22] = [
+const RUNS: [(&str, &str); 24] = [
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.window=0.02"),
+    ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.periods=2 --set objective.period=0.01"),
+    ("timed", "optimize steady.toml --epochs 2 --set method.flow=unsteady --set time.end=0.05 --set objective.periods=2 --set objective.period=0.01"),
     ("steady", "simulate steady.toml"),
     ("steady", "simulate steady.toml --set fluid.viscosity=0.002"),
     ("improved", "optimize steady.toml --epochs 3"),

@@ -1,22 +1,27 @@
 //! `simulate` of fixed particles around shapes whose flow goes on in time.
 
-use super::around_shapes::{fastest, of_objective};
+use super::around_shapes::{fastest, goal, of_objective};
 use super::files;
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
+use crate::config::scene::Config;
+use crate::error::Error;
 use crate::io::csv::{write_table, Cell};
 use crate::io::vtk::VtkSeries;
 use crate::io::FileError;
 use crate::numerics::threads::{count, in_words};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::around_in_time::{Course, History};
+use crate::scene::around_in_time::{Course, History, Moment};
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::periods::Window;
 use crate::scene::record::Record;
+use crate::scene::warnings::Warning;
 use crate::sph::cloud::figures::Figure;
+use crate::sph::cloud::problem::Solution;
 use serde_json::{json, Value};
 use std::path::Path;
 use std::time::Instant;
@@ -28,10 +33,89 @@ fn course_json(figure: &str, course: &Course) -> Value {
     json!({ "figure": figure, "mean": course.mean, "least": course.least, "most": course.most, "frequency": course.frequency })
 }
 
+/// Lengths and means of periods in a window may differ by this share before there is a warning.
+const PERIODIC: f64 = 0.01;
+
+/// A flow in time, and the part of it that figures are averaged over.
+pub struct Run {
+    history: History,
+    pub last: Solution,
+    window: Window,
+    warnings: Vec<Warning>,
+    fastest: f64,
+    seconds: f64,
+}
+
+impl Run {
+    /// `watch` gets every moment with its flow.
+    ///
+    /// # Errors
+    /// Those of [`AroundShapes::march`].
+    pub fn take(around: &AroundShapes, watch: &mut dyn FnMut(&Moment, &Solution)) -> Result<Self, Error> {
+        let (clock, first) = (Instant::now(), around.first());
+        let mut speed: f64 = 0.0;
+        let (history, last) = around.march(&first, None, &mut |moment, solution| {
+            watch(moment, solution);
+            speed = speed.max(fastest(solution));
+            Ok(())
+        })?;
+        let seconds = clock.elapsed().as_secs_f64();
+        let mut warnings = vec![];
+        // A run of minutes is not lost because its flow is not as expected.
+        let window = around.window(&first, &history).unwrap_or_else(|error| {
+            let (problem, advice) = match error {
+                Error::Run { problem, advice } => (problem, advice),
+                other => (other.to_string(), String::new()),
+            };
+            let problem = format!("{problem}; figures are means over the last half of the run instead");
+            warnings.push(Warning::new("no-periods", [f64::NAN; 2], problem, advice));
+            around.last_half(&history)
+        });
+        let objective = history.values(&|moment| moment.objective);
+        if let Some([lengths, means]) = window.irregularity(&history.times(), &objective) {
+            if lengths.max(means) > PERIODIC {
+                let problem = format!(
+                    "the flow is not periodic: lengths of the periods that are averaged over differ by {:.2} %, and the means \
+                     of the objective in them by {:.2} %",
+                    100.0 * lengths,
+                    100.0 * means
+                );
+                let advice = format!("time.end={}, or other objective.periods", 2.0 * around.config().time.end);
+                warnings.push(Warning::new("not-periodic", [lengths.max(means), PERIODIC], problem, advice));
+            }
+        }
+        Ok(Self { history, last, window, warnings, fastest: speed, seconds })
+    }
+
+    /// The fields at the end.
+    pub fn fields(&self, around: &AroundShapes) -> ParticleFields {
+        ParticleFields { time: around.config().time.end, step: self.history.sizes.len(), ..around.fields(&self.last) }
+    }
+
+    /// Prints the mean, extremes and frequency of every figure, and the objective.
+    pub fn print(&self, config: &Config, has_objective: bool) {
+        print_courses(&self.history, &self.window);
+        if has_objective {
+            let over = match self.window.periods.len() {
+                0 => "mean of the window".to_string(),
+                count => format!("mean of {} whole periods of {:.6}", count - 1, self.period()),
+            };
+            println!(
+                "objective           {:.6}   {}, {over}",
+                self.history.objective(&self.window),
+                of_objective(config)
+            );
+        }
+    }
+
+    fn period(&self) -> f64 {
+        (self.window.to - self.window.from) / (self.window.periods.len() as f64 - 1.0)
+    }
+}
+
 /// `hydrograd simulate`: the flow to `time.end`, its figures over time, and frames for ParaView.
 pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
     let config = &loaded.config;
-    let clock = Instant::now();
     let around = AroundShapes::new(config)?;
     let own = RunFolder::take(folder, "simulate", earlier)?;
     files::write_config(folder, loaded)?;
@@ -41,27 +125,23 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     // Frames are written after the run, whose errors are of another kind.
     let mut kept = vec![];
     let mut next = 1;
-    let mut speed: f64 = 0.0;
-    let (history, last) = around.march(&around.first(), None, &mut |moment, solution| {
+    let run = Run::take(&around, &mut |moment, solution| {
         bar.set_position((TICKS * moment.time / end) as u64);
         if frames > 0 && moment.time >= end * next as f64 / frames as f64 * (1.0 - 1e-12) {
             kept.push(ParticleFields { time: moment.time, ..around.fields(solution) });
             next = (moment.time / end * frames as f64 * (1.0 + 1e-12)) as usize + 1;
         }
-        speed = speed.max(fastest(solution));
-        Ok(())
     })?;
     bar.finish();
-    let seconds = clock.elapsed().as_secs_f64();
     for fields in &kept {
         fields.with_frame(|frame| series.write(frame))?;
     }
-    let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
+    let fields = run.fields(&around);
     fields.write(folder, config, &loaded.text)?;
-    let heat = files::plot_maps(folder, &[(&format!("t = {end}"), &around.map(&last))], true)?;
-    write_history(folder, &history)?;
-    let from = around.window();
-    let record = record(loaded, &around, &history, from, speed, seconds);
+    let heat = files::plot_maps(folder, &[(&format!("t = {end}"), &around.map(&run.last))], true)?;
+    let Run { ref history, seconds, fastest, .. } = run;
+    write_history(folder, history)?;
+    let record = record(loaded, &around, &run, seconds);
     files::write_summary(folder, &record)?;
     let (least, most) = history.sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
     println!(
@@ -71,16 +151,20 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
         in_words(count()),
         1e3 * seconds / history.sizes.len() as f64
     );
-    print_courses(&history, from, end);
-    if around.has_objective() {
-        println!("objective           {:.6}   {}, mean of the window", history.objective(from), of_objective(config));
-    }
-    print_dimensionless(config, speed);
+    run.print(config, around.has_objective());
+    print_dimensionless(config, fastest);
     println!(
         "files in {}: report.html, summary.json, history.csv, flow.png, vorticity.png{}, state.h5, particles/particles.pvd (ParaView)",
         folder.display(),
         if heat { ", temperature.png" } else { "" }
     );
+    if !config.variables.is_empty() {
+        println!(
+            "next: hydrograd optimize {}    changes its variables so that the objective becomes {}",
+            loaded.source.argument(),
+            goal(config)
+        );
+    }
     warn(&record.warnings());
     page::write(folder)?;
     own.finish()
@@ -104,10 +188,11 @@ fn write_history(folder: &Path, history: &History) -> Result<(), FileError> {
     write_table(&folder.join("history.csv"), &header, &rows)
 }
 
-fn print_courses(history: &History, from: f64, end: f64) {
-    let mut table = Table::new([format!("t = {from} ... {end}").as_str(), "mean", "least", "most", "frequency"]);
+fn print_courses(history: &History, window: &Window) {
+    let span = format!("t = {:.6} ... {:.6}", window.from, window.to);
+    let mut table = Table::new([span.as_str(), "mean", "least", "most", "frequency"]);
     for (k, (name, _)) in history.figures.iter().enumerate() {
-        let Course { mean, least, most, frequency } = history.of(from, k);
+        let Course { mean, least, most, frequency } = history.of(window, k);
         let frequency = frequency.map_or(String::new(), |frequency| format!("{frequency:.5}"));
         table.row([name.clone(), format!("{mean:.6}"), format!("{least:.6}"), format!("{most:.6}"), frequency]);
     }
@@ -115,16 +200,21 @@ fn print_courses(history: &History, from: f64, end: f64) {
 }
 
 /// The summary of a flow in time: means over the window, and the course of each figure there.
-fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, fastest: f64, seconds: f64) -> Record {
-    let mut record = Record::of_steady(loaded, fastest, seconds);
+pub fn record(loaded: &Loaded, around: &AroundShapes, run: &Run, seconds: f64) -> Record {
+    let Run { history, window, .. } = run;
+    let mut record = Record::of_steady(loaded, run.fastest, seconds);
     record.put("particles", around.flow.cloud.particles());
     record.put("steps", history.sizes.len());
     record.put("factorisations", history.factorisations);
-    record.put("window_begins", from);
+    record.put("window_begins", window.from);
+    if !window.periods.is_empty() {
+        record.put("window_ends", window.to);
+        record.put("period", run.period());
+    }
     let mut shapes = vec![json!({}); loaded.config.shapes.len()];
     let mut all = vec![];
     for (k, (name, figure)) in history.figures.iter().enumerate() {
-        let course = history.of(from, k);
+        let course = history.of(window, k);
         all.push(course_json(name, &course));
         match *figure {
             Figure::Force { shape, along } => {
@@ -140,12 +230,13 @@ fn record(loaded: &Loaded, around: &AroundShapes, history: &History, from: f64, 
     }
     record.put("shapes", shapes);
     if around.has_objective() {
-        let objective = history.course(from, &|moment| moment.objective);
+        let objective = history.course(window, &|moment| moment.objective);
         record.put("objective_kind", loaded.config.objective.kind);
         record.put("objective", objective.mean);
         all.push(course_json("objective", &objective));
         record.put("objective_at_end", history.moments.last().map(|moment| moment.objective));
     }
     record.put("courses", all);
+    record.put_warnings(loaded, run.warnings.clone());
     record
 }

@@ -1,5 +1,6 @@
 //! `optimize` with fixed particles around shapes: exact gradients of the steady flow, limits, particles placed anew.
 
+use super::around_in_time::{self, Run};
 use super::around_shapes::{self, goal, print_figures};
 use super::files::{self, AFTER, BEFORE};
 use super::run_folder::{Earlier, RunFolder};
@@ -21,6 +22,7 @@ use crate::scene::shape_search::{Epoch, Found, Search, HELD};
 use crate::scene::verification::{wall_settings, Verification};
 use crate::scene::warnings::Warning;
 use serde_json::{json, Value};
+use std::cell::Cell;
 use std::path::Path;
 
 /// A jump of the objective where particles are placed anew that is worth a warning.
@@ -33,10 +35,13 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     let own = RunFolder::take(folder, "optimize", earlier)?;
     files::write_config(folder, loaded)?;
     let name = Figure::key_of(config);
-    let bar = Progress::new(config.optimise.epochs as u64, "optimize");
+    // Flows in time take so long that the share of a run is shown, too.
+    const TICKS: u64 = 100;
+    let (bar, done) = (Progress::new(TICKS * config.optimise.epochs as u64, "optimize"), Cell::new(0));
     let mut round = 0;
-    let found = search.run(config.optimise.epochs, &mut |epoch: &Epoch, k: usize| {
-        bar.done(1);
+    let mut watch = |epoch: &Epoch, k: usize| {
+        done.set((k + 1) as u64);
+        bar.set_position(TICKS * done.get());
         if epoch.round > round {
             round = epoch.round;
             bar.log("particles placed anew around the shapes as they are now");
@@ -57,7 +62,10 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
                 ));
             }
         }
-    })?;
+    };
+    // The gradient takes about as long as two runs.
+    let mut progress = |share: f64| bar.set_position(TICKS * done.get() + (share * TICKS as f64 / 3.0) as u64);
+    let found = search.run(config.optimise.epochs, &mut watch, &mut progress)?;
     bar.finish();
     let Found { history, best, .. } = &found;
     let shapes = [0, *best].map(|epoch| Shape::of_numbers(history[epoch].variables.clone()));
@@ -70,19 +78,30 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     let mut records: Vec<Record> = vec![];
     for (at, frames) in [(loaded, BEFORE), (&with_best, AFTER)] {
         let mut around = AroundShapes::new(&at.config)?;
-        let solution = around.solve(&around.first())?;
-        let end = around.fields(&solution);
+        let (end, map) = if config.unsteady().is_some() {
+            let run = Run::take(&around, &mut |_, _| ())?;
+            records.push(around_in_time::record(at, &around, &run, seconds));
+            if frames == AFTER {
+                run.print(config, true);
+            }
+            (run.fields(&around), around.map(&run.last))
+        } else {
+            let solution = around.solve(&around.first())?;
+            let figures = around.summary(&solution);
+            records.push(around_shapes::record(at, &around, &solution, &figures, seconds));
+            if frames == AFTER {
+                print_figures(config, &figures);
+            }
+            (around.fields(&solution), around.map(&solution))
+        };
         let mut series = VtkSeries::new(&folder.join(frames), "particles")?;
         end.with_frame(|frame| series.write(frame))?;
-        let figures = around.summary(&solution);
-        records.push(around_shapes::record(at, &around, &solution, &figures, seconds));
         if frames == AFTER {
             end.write(folder, &at.config, &at.text)?;
-            print_figures(config, &figures);
         }
-        maps.push(around.map(&solution));
+        maps.push(map);
     }
-    let heat = files::plot_maps(folder, &[("before", &maps[0]), ("after", &maps[1])], false)?;
+    let heat = files::plot_maps(folder, &[("before", &maps[0]), ("after", &maps[1])], config.unsteady().is_some())?;
     let (before, mut record) = (records.remove(0), records.remove(0));
     let (first, last) =
         (before.number("objective").unwrap_or(f64::NAN), record.number("objective").unwrap_or(f64::NAN));
@@ -109,7 +128,12 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     );
     println!("next: hydrograd simulate {}    the best shapes with all figures", folder.join(files::BEST).display());
     warn(&record.warnings());
-    if verifies {
+    if verifies && config.unsteady().is_some() {
+        println!(
+            "next: hydrograd verify {}    the gain at half the spacing and over twice the time: some ten epochs' time",
+            folder.display()
+        );
+    } else if verifies {
         let [first, best] = shapes;
         verify::of_search(
             folder,

@@ -14,7 +14,8 @@ use crate::numerics::threads::{count, in_words};
 use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::around_shapes::AroundShapes;
+use crate::scene::around_flow::Flowed;
+use crate::scene::around_shapes::{AroundShapes, Judged};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
@@ -314,6 +315,8 @@ const TOLERANCE: f64 = 1e-6;
 /// Steps of differences: in spacings of the surface, and in degrees.
 const STEP: f64 = 0.04;
 const DEGREES: f64 = 0.05;
+/// In radians, at the end of a flow in time.
+const PHASE: f64 = 0.02;
 
 /// `hydrograd check-gradient`: value and gradient of the steady objective by every variable, and differences beside it.
 pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
@@ -323,17 +326,12 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let first = around.first();
     let lap = |clock: Instant| (clock.elapsed().as_secs_f64(), Instant::now());
     // Steps of a flow in time are chosen once, for all that it is compared with.
-    let (history, value, gradient, solved, clock) = if config.unsteady().is_some() {
-        let (history, _) = around.march(&first, None, &mut |_, _| Ok(()))?;
-        let (solved, clock) = lap(clock);
-        let gradient = around.march_gradient(&first, &history)?;
-        let value = history.objective(around.window());
-        (Some(history), value, gradient, solved, clock)
-    } else {
-        let solution = around.solve(&first)?;
-        let (value, terms) = around.objective(&solution);
-        let (solved, clock) = lap(clock);
-        (None, value, around.gradient(&solution, &terms)?, solved, clock)
+    let flow = around.flow(&first, None, &mut |_| ())?;
+    let (solved, clock) = lap(clock);
+    let Judged { value, by_variables: gradient } = around.judged(&flow, &first)?;
+    let sizes = match flow {
+        Flowed::Steady(_) => None,
+        Flowed::InTime(history) => Some(history.sizes),
     };
     let seconds = clock.elapsed().as_secs_f64();
     let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
@@ -348,23 +346,19 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
             Part::Parameter(_) => 4e-3 * first[k].abs().max(1e-2),
             _ => STEP * surface,
         };
-        // Differences of flows in time are not as smooth.
-        let step = if history.is_some() { 0.25 * step } else { step };
+        // Differences of flows in time are not as smooth, and a parameter may be a frequency, which moves phases by so much times the time.
+        let step = match (&sizes, numbers[k].part) {
+            (None, _) => step,
+            (Some(_), Part::Parameter(_)) => (0.25 * step).min(PHASE / config.time.end),
+            (Some(_), _) => 0.25 * step,
+        };
         // Richardson's extrapolation of two central differences.
         let mut central = |step: f64| -> Result<f64, Error> {
             let mut at = |x: f64| {
                 let mut moved = first.clone();
                 moved[k] += x;
-                Ok::<f64, Error>(match &history {
-                    Some(history) => {
-                        let (moved, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(()))?;
-                        moved.objective(around.window())
-                    }
-                    None => {
-                        let solution = around.solve(&moved)?;
-                        around.objective(&solution).0
-                    }
-                })
+                let flow = around.flow(&moved, sizes.as_deref(), &mut |_| ())?;
+                around.objective_of(&flow, &moved)
             };
             Ok((at(step)? - at(-step)?) / (2.0 * step))
         };

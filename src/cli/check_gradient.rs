@@ -52,6 +52,11 @@ pub struct CheckGradientArguments {
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
         self.common.require_design()?;
+        // Flows around shapes, steady or in time, are checked as they are: over their own time and window.
+        let own = self.common.load(None, vec![], self.gradient.settings());
+        if own.as_ref().is_ok_and(|own| own.config.is_around_shapes()) {
+            return own;
+        }
         // These defaults are below the user's settings, such as `--set objective.window=...`. The scene's window may be
         // longer than the checked steps.
         let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];

@@ -217,6 +217,10 @@ pub const EXAMPLES: &[BuiltIn] = &[
         "shaped-floor",
         "the same above a warm floor, whose shape `optimize` changes: most heat at a fixed cross-section"
     ),
+    built_in!(
+        "rotating-cylinder",
+        "2D vortices behind a cylinder that turns back and forth; its amplitude and frequency may be optimised for drag"
+    ),
     built_in!("schaefer-turek-1", "2D steady flow past a cylinder in a channel, Re = 20 (drag and lift known)"),
     built_in!("schaefer-turek-2", "the same at Re = 100, with vortices (drag, lift and frequency known)"),
     built_in!("schaefer-turek-3", "the same with an inflow that comes and goes (drag, lift and pressure known)"),

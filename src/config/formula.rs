@@ -68,13 +68,21 @@ impl Formula {
         self.read(key, names, &format!("a place in {dimension} dimensions and a time"))
     }
 
+    /// Reads an expression of the parameters of a shape alone.
+    pub fn function_of_numbers(&self, key: &str) -> Result<Function, BadInput> {
+        self.read(key, PARAMETERS.to_vec(), "a number")
+    }
+
     fn read(&self, key: &str, names: Vec<(usize, &str)>, what: &str) -> Result<Function, BadInput> {
         let bad = |problem: String| BadInput::at(key, format!("{key} = \"{}\": {problem}", self.0)).allowed(ALLOWED);
         let expression = Expression::parse(&self.0).map_err(|error| bad(error.to_string()))?;
         let number = |name: &String| names.iter().find(|(_, known)| known == name).map(|(k, _)| *k).ok_or(name.clone());
         let variables = expression.var_names().iter().map(number).collect::<Result<Vec<_>, _>>();
         let variables = variables.map_err(|name| {
-            let known: Vec<&str> = names.iter().filter(|(k, _)| *k < 4).map(|(_, name)| *name).collect();
+            let mut known: Vec<&str> = names.iter().filter(|(k, _)| *k < 4).map(|(_, name)| *name).collect();
+            if known.is_empty() {
+                known.push("p0, p1, ... of a shape");
+            }
             bad(format!("`{name}` is unknown; {what} has {}", known.join(", ")))
         })?;
         Ok(Function { expression, variables })

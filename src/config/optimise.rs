@@ -1,5 +1,6 @@
 //! The sections `[objective]` and `[optimise]`: how a design is evaluated, and the search for one.
 
+use crate::config::formula::Formula;
 use crate::config::memory_size::MemorySize;
 use crate::config::range::{
     Range::{NotNegative, Positive, Within},
@@ -15,6 +16,12 @@ section! {
         kind: ObjectiveKind = ObjectiveKind::HeatOutflow;
         target_x: f64 = 0.9, NotNegative;
         window: f64 = 0.5, NotNegative;
+        /// The mean over whole periods of a flow in time, instead of over `window`.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        periods: Option<usize> = None, Within(1.0, 1e6);
+        /// Their length, which may have the parameters of a shape; that of the objective's own course if not given.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        period: Option<Formula> = None;
         samples: usize = 40, Within(1.0, MAX_STEPS);
         /// Which fields are interpolated, and from which particles, see [`crate::sph::interpolation`].
         interpolation: Interpolation = Interpolation::Flux;
@@ -147,6 +154,11 @@ impl ObjectiveKind {
     /// Whether only fixed particles around shapes have this figure.
     pub fn is_of_shapes(self) -> bool {
         !matches!(self, Self::HeatOutflow | Self::OutletTemperature | Self::WallHeat | Self::FlowRate)
+    }
+
+    /// Whether it is a property of shapes that needs no flow.
+    pub fn is_of_outlines(self) -> bool {
+        matches!(self, Self::Area | Self::Distance)
     }
 
     /// Whether it is a field at a point.

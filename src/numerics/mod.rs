@@ -1,6 +1,7 @@
 //! What computing needs and physics does not know: lanes, sweeps over rows, memory, random numbers, being asked to stop, other processes, the bridge to candle.
 pub mod blocks;
 pub mod candle;
+pub mod curve;
 pub mod eigenvalues;
 pub mod exponential;
 pub mod gather;

@@ -1,9 +1,11 @@
 //! Custom scenes of fixed particles whose flow goes on in time: steps, and figures of each.
 
 use super::around_shapes::{no_solution, tolerance, AroundShapes};
+use super::periods::{Period, TooFew, Window};
 use crate::config::formula::Function;
 use crate::config::scene::Config;
 use crate::error::Error;
+use crate::numerics::curve::rises;
 use crate::numerics::{interrupt, threads};
 use crate::sph::cloud::equations::{Bar, Condition, Motion, State, Warmth};
 use crate::sph::cloud::figures::{At, Figure, Rate};
@@ -19,7 +21,10 @@ use std::sync::Arc;
 pub struct Moment {
     pub time: f64,
     pub values: Vec<f64>,
+    /// NaN in a scene without one.
     pub objective: f64,
+    /// What each of `limits` is about; NaN for those that are about shapes alone.
+    pub limits: Vec<f64>,
 }
 
 /// Figures over time.
@@ -43,23 +48,32 @@ pub struct Course {
 }
 
 impl History {
-    /// A figure from time `from` on; `value` takes it from a moment. Means are over time.
-    pub fn course(&self, from: f64, value: &dyn Fn(&Moment) -> f64) -> Course {
-        let part: Vec<(f64, f64)> = self.moments[self.first(from)..].iter().map(|m| (m.time, value(m))).collect();
-        let mean = self.mean(from, value);
-        let least = part.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
-        let most = part.iter().map(|p| p.1).fold(f64::NEG_INFINITY, f64::max);
-        // Crossings of a band around the mean, so that noise makes none.
-        let band = 0.1 * (most - least);
-        let (mut is_low, mut crossings) = (false, vec![]);
-        for pair in part.windows(2) {
-            is_low |= pair[0].1 < mean - band;
-            if is_low && pair[0].1 < mean && pair[1].1 >= mean {
-                let share = (mean - pair[0].1) / (pair[1].1 - pair[0].1);
-                crossings.push(pair[0].0 + share * (pair[1].0 - pair[0].0));
-                is_low = false;
-            }
-        }
+    pub fn times(&self) -> Vec<f64> {
+        self.moments.iter().map(|moment| moment.time).collect()
+    }
+
+    pub fn values(&self, value: &dyn Fn(&Moment) -> f64) -> Vec<f64> {
+        self.moments.iter().map(value).collect()
+    }
+
+    /// A figure in a window; `value` takes it from a moment. Means are over time.
+    pub fn course(&self, window: &Window, value: &dyn Fn(&Moment) -> f64) -> Course {
+        let values = self.values(value);
+        let mean = window.mean(&values);
+        // Whole periods end between moments, so those beside belong to them.
+        let beside = usize::from(!window.periods.is_empty());
+        let last = values.len().saturating_sub(1);
+        let first = self.moments.iter().position(|moment| moment.time >= window.from).unwrap_or(last);
+        let end = self.moments.iter().rposition(|moment| moment.time <= window.to).unwrap_or(last);
+        let first = first.saturating_sub(beside);
+        let part = &values[first..=(end + beside).min(last)];
+        let least = part.iter().copied().fold(f64::INFINITY, f64::min);
+        let most = part.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let crossing = |j: usize| {
+            let [before, after] = [&self.moments[first + j], &self.moments[first + j + 1]];
+            before.time + (mean - part[j]) / (part[j + 1] - part[j]) * (after.time - before.time)
+        };
+        let crossings: Vec<f64> = rises(part, mean, 0.1 * (most - least)).into_iter().map(crossing).collect();
         let frequency = match (crossings.first(), crossings.last()) {
             (Some(first), Some(last)) if crossings.len() > 1 => Some((crossings.len() - 1) as f64 / (last - first)),
             _ => None,
@@ -67,41 +81,22 @@ impl History {
         Course { mean, least, most, frequency }
     }
 
-    /// The first moment from a time on; the last one if rounding has put it before that.
-    fn first(&self, from: f64) -> usize {
-        let found = self.moments.iter().position(|moment| moment.time >= from);
-        found.unwrap_or(self.moments.len().saturating_sub(1))
-    }
-
-    /// Of each moment its weight in a mean over time from `from` on, by trapezes.
-    pub fn weights(&self, from: f64) -> Vec<f64> {
-        let mut weights = vec![0.0; self.moments.len()];
-        for k in self.first(from) + 1..self.moments.len() {
-            let half = 0.5 * (self.moments[k].time - self.moments[k - 1].time);
-            weights[k - 1] += half;
-            weights[k] += half;
-        }
-        let total: f64 = weights.iter().sum();
-        match weights.last_mut() {
-            Some(last) if total == 0.0 => *last = 1.0,
-            _ => weights.iter_mut().for_each(|weight| *weight /= total),
-        }
-        weights
-    }
-
-    fn mean(&self, from: f64, value: &dyn Fn(&Moment) -> f64) -> f64 {
-        self.weights(from).iter().zip(&self.moments).filter(|(w, _)| **w != 0.0).map(|(w, m)| w * value(m)).sum()
-    }
-
-    /// The mean objective from `from` on.
-    pub fn objective(&self, from: f64) -> f64 {
-        self.mean(from, &|moment| moment.objective)
+    /// The mean objective in a window.
+    pub fn objective(&self, window: &Window) -> f64 {
+        window.mean(&self.values(&|moment| moment.objective))
     }
 
     /// The course of a figure by its index.
-    pub fn of(&self, from: f64, k: usize) -> Course {
-        self.course(from, &|moment| moment.values[k])
+    pub fn of(&self, window: &Window, k: usize) -> Course {
+        self.course(window, &|moment| moment.values[k])
     }
+}
+
+/// Which mean over a window: that of the objective, or of what a limit is about, by its index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Of {
+    Objective,
+    Limit(usize),
 }
 
 /// The boundary of one shape in time.
@@ -258,7 +253,11 @@ impl AroundShapes {
             let at = At { equations: &equations, shaped: &shaped, state, d: &derivatives };
             let values = history.figures.iter().map(|(_, figure)| self.value_at(&at, *figure)).collect();
             let objective = if has_objective { self.objective_at(&at).0 } else { f64::NAN };
-            let moment = Moment { time, values, objective };
+            let limits = self.config().limits.iter().map(|limit| match limit.kind.is_of_outlines() {
+                true => f64::NAN,
+                false => self.terms_at(&at, &limit.asked()).0,
+            });
+            let moment = Moment { time, values, objective, limits: limits.collect() };
             let solution = Solution { shaped: Arc::clone(&shaped), state: state.clone(), derivatives };
             watch(&moment, &solution).map_err(Failure::Other)?;
             moments.push(moment);
@@ -292,30 +291,94 @@ impl AroundShapes {
         Ok((history, last))
     }
 
-    /// The beginning of the window over which the objective is averaged.
-    pub fn window(&self) -> f64 {
-        let config = self.config();
-        config.time.end - config.objective.window.min(config.time.end)
-    }
-
-    /// The derivative of the mean objective of the window by the variables, along the steps of a history.
+    /// The part of a run over which the objective is averaged.
     ///
     /// # Errors
-    /// As [`Self::march`].
-    pub fn march_gradient(&self, variables: &[f64], history: &History) -> Result<Vec<f64>, Error> {
+    /// Fewer whole periods than `objective.periods`.
+    pub fn window(&self, variables: &[f64], history: &History) -> Result<Window, Error> {
+        let (config, times) = (self.config(), history.times());
+        let end = config.time.end;
+        let Some(count) = config.objective.periods else {
+            return Ok(Window::since(&times, end - config.objective.window.min(end)));
+        };
+        let period = self.period(variables)?;
+        let found = match &period {
+            Some(period) => Window::of_length(&times, count, period),
+            None => Window::of_course(&times, &history.values(&|moment| moment.objective), count),
+        };
+        found.map_err(|TooFew(most)| {
+            let (what, otherwise) = match period {
+                Some(Period { length, .. }) => (format!("only {most} of {length:.6} fit into the run"), ""),
+                None => (
+                    format!("the objective rises through its mean only so often that the run has {most}"),
+                    ", or objective.period where a force gives it, or objective.window",
+                ),
+            };
+            let advice = format!("time.end={}{otherwise}", 2.0 * end);
+            Error::run(format!("there are no {count} whole periods (objective.periods): {what}"), advice)
+        })
+    }
+
+    /// The whole last half of a run, where there is no other window.
+    pub fn last_half(&self, history: &History) -> Window {
+        Window::since(&history.times(), 0.5 * self.config().time.end)
+    }
+
+    /// `objective.period` for these variables.
+    fn period(&self, variables: &[f64]) -> Result<Option<Period>, Error> {
+        let config = self.config();
+        let at = |variables: &[f64]| config.period(&config.with_shape_values(variables).shapes);
+        let Some(length) = at(variables)? else { return Ok(None) };
+        let mut by_variables = vec![0.0; variables.len()];
+        for (k, by) in by_variables.iter_mut().enumerate() {
+            if !self.flow.cloud.is_parameter(self.wanted[k]) {
+                continue;
+            }
+            let step = 1e-5 * variables[k].abs().max(1e-3);
+            let moved = |sign: f64| {
+                let mut moved = variables.to_vec();
+                moved[k] += sign * step;
+                at(&moved).map(|length| length.unwrap_or(f64::NAN))
+            };
+            *by = (moved(1.0)? - moved(-1.0)?) / (2.0 * step);
+        }
+        Ok(Some(Period { length, by_variables }))
+    }
+
+    /// The derivative of the mean of the window by the variables, along the steps of a history.
+    ///
+    /// # Errors
+    /// As [`Self::march`] and [`Self::window`].
+    pub fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error> {
+        let window = self.window(variables, history)?;
+        let values = history.values(&|moment| match of {
+            Of::Objective => moment.objective,
+            Of::Limit(k) => moment.limits[k],
+        });
+        let slopes = window.slopes(&history.times(), &values);
         let Begun { shaped, first, mut march, flow_rate, start } = self.begin(variables)?;
         let cloud = &self.flow.cloud;
         let boundary = Boundary { cloud, shaped: &shaped, start, wanted: &self.wanted };
-        let weights = history.weights(self.window());
         let (equations, read_at) = (march.equations().clone(), self.flow.measures.read_at());
         let mut figures = |k: usize, state: &State, bar: &mut Bar| {
-            if weights[k] == 0.0 {
+            let by_objective = slopes.by_objective.get(k).copied().unwrap_or(0.0);
+            let by_value = slopes.by_values[k];
+            if by_value == 0.0 && by_objective == 0.0 {
                 return;
             }
             let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
             let at = At { equations: &equations, shaped: &shaped, state, d: &derivatives };
-            for (figure, weight) in self.objective_at(&at).1 {
-                self.flow.measures.pull_back(figure, &at, weights[k] * weight, bar);
+            let mut pull_back = |terms: Vec<(Figure, f64)>, by: f64| {
+                for (figure, weight) in terms.into_iter().filter(|_| by != 0.0) {
+                    self.flow.measures.pull_back(figure, &at, by * weight, bar);
+                }
+            };
+            match of {
+                Of::Objective => pull_back(self.objective_at(&at).1, by_value + by_objective),
+                Of::Limit(limit) => {
+                    pull_back(self.terms_at(&at, &self.config().limits[limit].asked()).1, by_value);
+                    pull_back(self.objective_at(&at).1, by_objective);
+                }
             }
         };
         let flow_rate_back = |state: &State, weight: f64, bar: &mut Bar| {
@@ -337,6 +400,8 @@ impl AroundShapes {
             .map_err(|why| no_solution(self.config(), &NoSolution::Flow(why)))?;
         let mut all = cloud.by_numbers(&shaped, &found.position, &found.bar, &self.wanted, None);
         all.iter_mut().zip(found.parameters).for_each(|(all, by)| *all += by);
+        all.iter_mut().zip(slopes.by_variables).for_each(|(all, by)| *all += by);
+        self.check_finite(&all)?;
         Ok(all)
     }
 }

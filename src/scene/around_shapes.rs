@@ -211,7 +211,7 @@ impl AroundShapes {
         &self.config
     }
 
-    /// Searches and their checks are of steady flows.
+    /// Checks that the flow is a steady one.
     ///
     /// # Errors
     /// A flow in time.
@@ -220,7 +220,9 @@ impl AroundShapes {
             None => Ok(()),
             Some(_) => {
                 Err(BadInput::at("method.flow", "method.flow = unsteady, and this needs a steady flow".to_string())
-                    .allowed("steady; of a flow in time simulate, and check-gradient for its derivative")
+                    .allowed(
+                        "steady; of a flow in time simulate, optimize, verify, and check-gradient for its derivative",
+                    )
                     .advice("method.flow=steady"))
             }
         }
@@ -312,7 +314,7 @@ impl AroundShapes {
         self.terms_at(&self.flow.at(solution), asked)
     }
 
-    fn terms_at(&self, at: &At<'_>, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
+    pub fn terms_at(&self, at: &At<'_>, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
         let part = |asked: &Asked, weight: f64| -> Vec<(Figure, f64)> {
             self.figures(asked).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
         };
@@ -367,12 +369,17 @@ impl AroundShapes {
     pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
         let wanted = self.wanted.clone();
         let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
-        match found.iter().position(|g| !g.is_finite()) {
+        self.check_finite(&found)?;
+        Ok(found)
+    }
+
+    pub(super) fn check_finite(&self, gradient: &[f64]) -> Result<(), Error> {
+        match gradient.iter().position(|g| !g.is_finite()) {
             Some(k) => Err(Error::diverged(
-                format!("the gradient by variable {k} is {}", found[k]),
-                "resolution.dx smaller by a third",
+                format!("the gradient by {} is {}", self.config.variables[k].number, gradient[k]),
+                finer(&self.config),
             )),
-            None => Ok(found),
+            None => Ok(()),
         }
     }
 

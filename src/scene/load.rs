@@ -558,6 +558,9 @@ fn fit_window(merged: &mut Merged, config: &Config) {
         return; // `check` reports these.
     }
     let mut window = config.objective.window;
+    if config.objective.periods.is_some() {
+        return;
+    }
     if window > end && !is_wish(merged, "objective.window", window != usual.window) {
         window = 0.25 * end;
         merged.set("objective.window", Value::from(window), "a quarter of the run");

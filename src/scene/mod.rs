@@ -5,6 +5,7 @@
 //! [`flows`].
 pub mod accuracy;
 pub mod around_bodies;
+pub mod around_flow;
 pub mod around_in_time;
 pub mod around_shapes;
 pub mod assembly;
@@ -24,6 +25,7 @@ mod lattice;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
+pub mod periods;
 pub mod plausible;
 pub mod record;
 pub mod shape_heat;

@@ -4,9 +4,9 @@
 //! then they are placed anew, the same shapes are judged again (the jump is the error of the cloud, and is recorded),
 //! and [`crate::design::sqp`] goes on from there.
 
-use super::around_shapes::AroundShapes;
+use super::around_shapes::{AroundShapes, Judged};
 use crate::config::custom::Part;
-use crate::config::scene::{Asked, Config};
+use crate::config::scene::Config;
 use crate::design::parametrisations::numbers::Numbers;
 use crate::design::sqp::{Limited, Point, Sqp};
 use crate::error::Error;
@@ -64,7 +64,8 @@ const SETTLED: f64 = 2e-4;
 
 /// The limits of the configuration as functions that are at most 0, or 0.
 struct Limit {
-    asked: Asked,
+    /// Its index among those of the configuration.
+    entry: usize,
     /// +1 for `at_most`, -1 for `at_least`.
     sign: f64,
     bound: f64,
@@ -73,8 +74,8 @@ struct Limit {
 
 fn limits(config: &Config) -> Vec<Limit> {
     let mut all = vec![];
-    for entry in &config.limits {
-        let limit = |sign: f64, bound: f64, is_equation: bool| Limit { asked: entry.asked(), sign, bound, is_equation };
+    for (k, entry) in config.limits.iter().enumerate() {
+        let limit = |sign: f64, bound: f64, is_equation: bool| Limit { entry: k, sign, bound, is_equation };
         match (entry.at_least, entry.at_most) {
             (Some(low), Some(high)) if low == high => all.push(limit(1.0, low, true)),
             (low, high) => {
@@ -102,7 +103,6 @@ impl<'a> Search<'a> {
     /// Shapes that cannot be resolved.
     pub fn new(config: &'a Config) -> Result<Self, Error> {
         let around = AroundShapes::new(config)?;
-        around.check_steady()?;
         let width = config.variables.iter().map(|variable| variable.upper - variable.lower).collect();
         Ok(Self { config, around, limits: limits(config), unit: 0.0, numbers: Numbers::of_config(config), width })
     }
@@ -123,10 +123,10 @@ impl<'a> Search<'a> {
     }
 
     /// Objective, limits and their derivatives at variables between 0 and 1.
-    fn judge(&mut self, x: &[f64]) -> Result<(f64, Point), Error> {
+    fn judge(&mut self, x: &[f64], progress: &mut dyn FnMut(f64)) -> Result<(f64, Point), Error> {
         let variables = self.numbers.values(x);
-        let solution = self.around.solve(&variables)?;
-        let (objective, terms) = self.around.objective(&solution);
+        let flow = self.around.flow(&variables, None, progress)?;
+        let Judged { value: objective, by_variables } = self.around.judged(&flow, &variables)?;
         if self.unit == 0.0 {
             self.unit = objective.abs().max(f64::MIN_POSITIVE);
         }
@@ -134,32 +134,31 @@ impl<'a> Search<'a> {
         let scaled = |gradient: Vec<f64>, factor: f64, width: &[f64]| -> Vec<f64> {
             gradient.iter().zip(width).map(|(g, width)| factor * g * width).collect()
         };
-        let gradient = scaled(self.around.gradient(&solution, &terms)?, factor, &self.width);
+        let gradient = scaled(by_variables, factor, &self.width);
         let mut limited = vec![];
         for k in 0..self.limits.len() {
-            let Limit { ref asked, sign, bound, is_equation } = self.limits[k];
-            let (value, by) = match self.around.of_shapes(asked.kind, &asked.shapes, &variables) {
-                Some(judged) => (judged.value, judged.by_variables),
-                None => {
-                    let (value, terms) = self.around.terms(&solution, asked);
-                    (value, self.around.gradient(&solution, &terms)?)
-                }
-            };
+            let Limit { entry, sign, bound, is_equation } = self.limits[k];
+            let Judged { value, by_variables } = self.around.judged_limit(&flow, &variables, entry)?;
             let factor = sign / bound.abs().max(1e-12);
             limited.push(Limited {
                 value: factor * (value - bound),
-                gradient: scaled(by, factor, &self.width),
+                gradient: scaled(by_variables, factor, &self.width),
                 is_equation,
             });
         }
         Ok((objective, Point { x: x.to_vec(), value: factor * objective, gradient, limits: limited }))
     }
 
-    /// Searches for at most `epochs` evaluations; `watch` is called after each.
+    /// Searches for at most `epochs` evaluations; `watch` is called after each, and `progress` with the share of a flow in time.
     ///
     /// # Errors
     /// A first design that cannot be judged; [`Error::Stopped`].
-    pub fn run(&mut self, epochs: usize, watch: &mut dyn FnMut(&Epoch, usize)) -> Result<Found, Error> {
+    pub fn run(
+        &mut self,
+        epochs: usize,
+        watch: &mut dyn FnMut(&Epoch, usize),
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<Found, Error> {
         let mut history: Vec<Epoch> = vec![];
         let (mut best, mut jump, mut converged) = (0, 0.0f64, false);
         let first = self.numbers.start();
@@ -173,7 +172,7 @@ impl<'a> Search<'a> {
         while history.len() < epochs {
             let clock = Instant::now();
             let x = sqp.ask().to_vec();
-            let found = self.judge(&x);
+            let found = self.judge(&x, progress);
             let variables = self.numbers.values(&x);
             let mut epoch = Epoch {
                 variables,
@@ -192,7 +191,7 @@ impl<'a> Search<'a> {
                     epoch.excess = point.limits.iter().map(Limited::excess).fold(0.0, f64::max);
                     Some(point)
                 }
-                Err(Error::Diverged { problem, .. }) if !history.is_empty() => {
+                Err(Error::Diverged { problem, .. } | Error::Run { problem, .. }) if !history.is_empty() => {
                     epoch.failure = Some(problem);
                     None
                 }

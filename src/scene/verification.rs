@@ -42,9 +42,9 @@ impl Check {
     /// scene without random numbers does not depend on the seed.
     fn is_for(self, config: &Config) -> bool {
         match self {
-            Self::OtherMotion if config.is_around_shapes() => config.counterpart_moves(),
+            Self::OtherMotion if config.is_around_shapes() => config.unsteady().is_none() && config.counterpart_moves(),
             Self::OtherMotion => config.scene.has_design() && config.dimension() == 2,
-            Self::TwiceTime => !config.is_around_shapes(),
+            Self::TwiceTime => !config.is_around_shapes() || config.unsteady().is_some(),
             Self::OtherSeed if config.is_around_shapes() => false,
             Self::OtherSeed => config.scene.has_design() || config.time.jitter > 0.0,
             _ => true,
@@ -235,7 +235,7 @@ impl Verification {
         // A window of the same length may have another number of steps, which limits the number of samples.
         let window = before.objective.window;
         let steps = (window / after.time_step() - 1e-9).ceil().max(1.0) as usize;
-        if window > 0.0 {
+        if window > 0.0 && before.objective.periods.is_none() {
             set("objective.window", &window);
             set("objective.samples", &before.objective.samples.min(steps));
         }
@@ -341,8 +341,9 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
 fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
     if loaded.config.is_around_shapes() {
         let mut around = AroundShapes::new(&loaded.config)?;
-        let solution = around.solve(&around.first())?;
-        return Ok(around.objective(&solution).0);
+        let first = around.first();
+        let flow = around.flow(&first, None, progress)?;
+        return Ok(around.objective_of(&flow, &first)?);
     }
     let design = Scene::<R>::problem(&loaded.config)?;
     let problem = design

@@ -73,10 +73,11 @@ impl Benchmark {
             progress(moment.time / end);
             Ok(())
         })?;
-        let from = around.window();
+        let window = around.window(&around.first(), &history)?;
+        let from = window.from;
         let of = |name: &str| {
             let k = history.figures.iter().position(|(own, _)| own == name).unwrap_or(0);
-            history.of(from, k)
+            history.of(&window, k)
         };
         let (drag, lift) = (of("shapes[0].drag"), of("shapes[0].lift"));
         let frequency = lift.frequency.unwrap_or(f64::NAN);

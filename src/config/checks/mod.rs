@@ -21,6 +21,8 @@ use toml_edit::Value;
 impl Schema for Config {
     const ALTERNATIVES: &'static [Alternative] = &[
         (&["time.end"], &["time.steps"]),
+        (&["objective.window"], &["objective.periods", "objective.period"]),
+        (&["objective.periods"], &["objective.window"]),
         (&["design.shape"], &["design.offsets", "design.file"]),
         (&["design.offsets"], &["design.file"]),
         (&["design.file"], &["design.offsets", "design.nodes"]),
@@ -44,6 +46,7 @@ impl Schema for Config {
         config.resolution.growth = Some(0.1);
         config.objective.goal = Goal::Smaller;
         config.objective.at = Some([0.0; 2]);
+        (config.objective.periods, config.objective.period) = (Some(1), Some(Formula("2*PI".into())));
         let side = Some(Side {
             velocity: Some(vec![]),
             temperature: Some(Formula("1".into())),
@@ -106,6 +109,7 @@ impl Schema for Config {
 
     fn check_together(&self) -> Result<(), BadInput> {
         self.check_method()?;
+        self.check_periods()?;
         match self.scene {
             Family::Custom if self.is_around_shapes() => {
                 self.check_custom()?;

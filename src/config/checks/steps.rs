@@ -1,5 +1,6 @@
 //! Checks of the time step, the number of steps, and the window of an objective.
 
+use crate::config::custom::ShapeEntry;
 use crate::config::range::{MAX_STEPS, WHOLE};
 use crate::config::scene::Config;
 use crate::error::BadInput;
@@ -29,6 +30,58 @@ impl Config {
             .advice(format!("objective.samples={steps}")));
         }
         Ok(())
+    }
+
+    /// Checks that whole periods are asked for of a flow in time only, and fit into it.
+    pub(super) fn check_periods(&self) -> Result<(), BadInput> {
+        let objective = &self.objective;
+        let bad = |key: &str, problem: &str| BadInput::at(key, format!("{key} {problem}"));
+        let Some(count) = objective.periods else {
+            return match &objective.period {
+                None => Ok(()),
+                Some(_) => Err(bad("objective.period", "without objective.periods")
+                    .allowed("with objective.periods, the number of periods that the objective is averaged over")
+                    .advice("objective.periods=4")),
+            };
+        };
+        if self.unsteady().is_none() {
+            return Err(bad("objective.periods", "of a flow that is not one of fixed particles in time")
+                .allowed("with method.name = fixed and method.flow = unsteady in a scene of your own")
+                .advice("method.name=fixed method.flow=unsteady"));
+        }
+        if objective.window != Self::default().objective.window {
+            return Err(bad("objective.periods", "and objective.window are both given")
+                .allowed("one of them: whole periods, or a time")
+                .advice(format!("leave out objective.window, or objective.window={}", objective.window)));
+        }
+        let length = self.period(&self.shapes)?;
+        match length.filter(|length| count as f64 * length > self.time.end) {
+            Some(length) => Err(bad("objective.periods", &format!("= {count} of {length:.6} are longer than the run"))
+                .allowed(format!("at most {}, in time.end = {}", (self.time.end / length) as usize, self.time.end))
+                .advice(format!("time.end={}", 2.0 * count as f64 * length))),
+            None => Ok(()),
+        }
+    }
+
+    /// The length of a period by `objective.period` with the parameters of the first of `shapes` that has some; none if it is not given.
+    ///
+    /// # Errors
+    /// An invalid formula, one with other parameters, or one that is not a time.
+    pub fn period(&self, shapes: &[ShapeEntry]) -> Result<Option<f64>, BadInput> {
+        let (key, Some(formula)) = ("objective.period", &self.objective.period) else { return Ok(None) };
+        let function = formula.function_of_numbers(key)?;
+        let parameters = shapes.iter().map(|shape| &shape.parameters).find(|all| !all.is_empty());
+        let parameters = parameters.map_or(&[][..], Vec::as_slice);
+        let bad = |problem: String| BadInput::at(key, format!("{key} = \"{}\" {problem}", formula.0));
+        if function.parameters() > parameters.len() {
+            return Err(bad(format!("has p{}", function.parameters() - 1))
+                .allowed("p0, p1, ... of the first shape that has `parameters`"));
+        }
+        let length = function.with_parameters([0.0; 3], 0.0, parameters);
+        match length > 0.0 && length.is_finite() {
+            true => Ok(Some(length)),
+            false => Err(bad(format!("is {length}")).allowed("a time above 0, such as \"2*PI/p1\"")),
+        }
     }
 
     /// Checks that the time step is a positive number, and the number of steps.

@@ -156,6 +156,10 @@ impl Factors {
         Ok(factors)
     }
 
+    pub fn bytes(&self) -> usize {
+        self.lu.bytes() + size_of_val(self.matrix.values.as_slice())
+    }
+
     /// (A + e e^T)^-1 b or its transpose, with one step of refinement if it shall be exact.
     fn inner(&self, b: &[f64], transposed: bool, exact: bool) -> Vec<f64> {
         match exact {

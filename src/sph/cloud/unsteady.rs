@@ -35,8 +35,10 @@ const SHORTEST: f64 = 0.05;
 /// How many steps tau is at most. (With 1 to 5 pressures that the fits hardly see grow where particles are irregular and the viscosity
 /// is small; with 20 and more they do at walls with steps a hundredth of what the flow allows.)
 const LAG: f64 = 10.0;
-/// Matrices whose factors are kept.
+/// Matrices whose factors are kept: so many, or more as long as they need no more than these bytes. (Where a wall turns back and forth
+/// three sizes of steps take turns, each with matrices of its own after larger and smaller ones: seven.)
 const KEPT: usize = 3;
+const BYTES: usize = 300_000_000;
 
 /// A step: its size, and that of the one before (0: it does not look back).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -103,6 +105,12 @@ struct Matrices {
     heat: Option<SparseLu>,
 }
 
+impl Matrices {
+    fn bytes(&self) -> usize {
+        self.flow.bytes() + self.heat.as_ref().map_or(0, SparseLu::bytes)
+    }
+}
+
 /// Steps of a flow around one shape.
 pub struct March {
     solver: Solver,
@@ -150,7 +158,7 @@ impl March {
             let (flow, heat) = self.solver.factors_at(rate, operators, &self.border)?;
             self.factorisations += 1;
             self.kept.push(Matrices { rate, flow, heat });
-            if self.kept.len() > KEPT {
+            while self.kept.len() > KEPT && self.kept.iter().map(Matrices::bytes).sum::<usize>() > BYTES {
                 self.kept.remove(0);
             }
         }
