@@ -38,6 +38,7 @@ mod io;
 mod jax_sph_gradient_parity;
 mod jax_sph_parity;
 mod kernels;
+mod lattice;
 mod layers;
 mod machine;
 mod metrics;
