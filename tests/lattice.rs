@@ -5,7 +5,7 @@ use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::sph::lattice::adjoint::{pull_back, MEMORY};
 use hydrograd::sph::lattice::equations::{Buoyancy, Equations, Materials, State};
 use hydrograd::sph::lattice::march::{run, Control, Diverged};
-use hydrograd::sph::lattice::symbols::{Symbols, Weights};
+use hydrograd::sph::lattice::symbols::Weights;
 use hydrograd::sph::lattice::transform::Transform;
 use std::f64::consts::{PI, TAU};
 
@@ -19,12 +19,7 @@ fn materials(d: usize, viscosity: f64) -> Materials {
 fn equations(shape: &[usize], materials: Materials, derivatives: Derivatives) -> Equations {
     let dx = TAU / shape[0] as f64;
     let size: Vec<f64> = shape.iter().map(|&n| n as f64 * dx).collect();
-    Equations {
-        transform: Transform::new(shape),
-        symbols: Symbols::new(shape, &size, derivatives),
-        materials,
-        dx,
-    }
+    Equations::new(shape, &size, materials, derivatives)
 }
 
 /// The places of all particles.
@@ -339,13 +334,15 @@ fn gradients_are_exact() {
         let direction: Vec<Vec<f64>> = (0..=d).map(|_| numbers()).collect();
         let sizes = [0.05, 0.08, 0.06, 0.06, 0.03];
         let of = |memory: usize| {
-            pull_back(&flow, &flow.state(&start), &sizes, memory, &mut |k, _, bar| {
+            pull_back::<()>(&flow, &flow.state(&start), &sizes, memory, &mut |k, _, bar| {
                 if k + 1 == sizes.len() || k == 1 {
                     for (bar, weights) in bar.iter_mut().zip(&weighed.weights) {
                         bar.iter_mut().zip(flow.transform.forwards(weights.clone())).for_each(|(b, w)| *b += w);
                     }
                 }
+                Ok(())
             })
+            .unwrap()
         };
         let found = of(MEMORY);
         // Segments change nothing.

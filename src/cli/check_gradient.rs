@@ -2,6 +2,7 @@
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::around_shapes;
+use super::periodic_box;
 use super::files::{self, write_json};
 use super::page;
 use super::prepare::{build, open_device, use_threads};
@@ -51,11 +52,15 @@ pub struct CheckGradientArguments {
 
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.require_design()?;
         // These defaults are below the user's settings, such as `--set objective.window=...`. The scene's window may be
         // longer than the checked steps.
         let defaults = vec![Setting::option("--steps", "time.steps", self.steps), Setting::set("objective.window=0")];
-        self.common.load(None, defaults, self.gradient.settings())
+        let loaded = self.common.load(None, defaults, self.gradient.settings());
+        // A periodic box is differentiated by its start.
+        if !loaded.as_ref().is_ok_and(|loaded| loaded.config.is_periodic_box()) {
+            self.common.require_design()?;
+        }
+        loaded
     }
 }
 
@@ -76,6 +81,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
+    if loaded.config.is_periodic_box() {
+        return periodic_box::check_gradient(&loaded, &folder, arguments.directions);
+    }
     if loaded.config.is_around_shapes() {
         return around_shapes::check_gradient(&loaded, &folder);
     }

@@ -2,6 +2,7 @@
 
 use super::arguments::{check_preset, CommonArguments};
 use super::around_shapes;
+use super::periodic_box;
 use super::files;
 use super::machine;
 use super::prepare::{open_device, use_threads};
@@ -97,6 +98,9 @@ fn check(common: &CommonArguments) -> anyhow::Result<()> {
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
+    if loaded.config.is_periodic_box() {
+        return periodic_box::check(&loaded);
+    }
     if loaded.config.is_around_shapes() {
         return around_shapes::check(&loaded, &folder);
     }

@@ -22,6 +22,8 @@ mod lattice;
 pub mod load;
 pub mod observers;
 pub mod particle_fields;
+pub mod periodic_box;
+pub mod periodic_flow;
 pub mod plausible;
 pub mod record;
 pub mod shape_search;

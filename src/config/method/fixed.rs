@@ -29,12 +29,13 @@ section! {
 }
 
 /// The derivatives of particles on the lattice of a periodic box.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Derivatives {
     /// Of fits of fourth degree to the neighbours.
     Fits,
     /// Of all modes exactly.
+    #[default]
     Spectral,
 }
 

@@ -38,13 +38,16 @@ struct Stages([State; 5]);
 
 /// The cotangents of a sum of figures along steps of given `sizes` from `first` on: `figures` adds those of the state
 /// after step k to a bar. `memory`: bytes for stages.
-pub fn pull_back(
+///
+/// # Errors
+/// Those of `figures`.
+pub fn pull_back<E>(
     equations: &Equations,
     first: &State,
     sizes: &[f64],
     memory: usize,
-    figures: &mut dyn FnMut(usize, &State, &mut State),
-) -> Cotangents {
+    figures: &mut dyn FnMut(usize, &State, &mut State) -> Result<(), E>,
+) -> Result<Cotangents, E> {
     let zero: State = first.iter().map(|field| vec![Complex64::default(); field.len()]).collect();
     let bytes = 4 * zero.len() * equations.transform.modes() * size_of::<Complex64>();
     let length = match sizes.len() * bytes <= memory {
@@ -85,14 +88,14 @@ pub fn pull_back(
             now = next;
         }
         for (k, stages) in all.into_iter().enumerate().rev() {
-            figures(from + k, &stages.0[4], &mut bar);
+            figures(from + k, &stages.0[4], &mut bar)?;
             decay.change(equations, part[k]);
             found.sizes[from + k] = step_back(equations, &decay, &stages, &mut bar, &mut found.materials);
         }
     }
     equations.project(&mut bar[..equations.dimension()]);
     found.start = bar;
-    found
+    Ok(found)
 }
 
 /// Turns the cotangent of the state after a step into that of the state before it; returns the derivative by the size.

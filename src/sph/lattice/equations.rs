@@ -15,6 +15,7 @@
 
 use super::symbols::Symbols;
 use super::transform::{Spectrum, Transform};
+use crate::config::method::fixed::Derivatives;
 use num_complex::Complex64;
 
 /// i times a number.
@@ -73,6 +74,12 @@ struct Factors {
 }
 
 impl Equations {
+    /// Flow on a lattice `shape` in a box of `size`, whose spacing is the same along all axes.
+    pub fn new(shape: &[usize], size: &[f64], materials: Materials, derivatives: Derivatives) -> Self {
+        let symbols = Symbols::new(shape, size, derivatives);
+        Self { transform: Transform::new(shape), symbols, materials, dx: size[0] / shape[0] as f64 }
+    }
+
     pub fn dimension(&self) -> usize {
         self.transform.shape.len()
     }

@@ -134,6 +134,16 @@ fn error(equations: &Equations, control: &Control, size: f64, last: &[Spectrum],
     of(&left[..d], control.velocity).max(heat) / control.tolerance
 }
 
+/// The state after steps of given sizes.
+pub fn repeat(equations: &Equations, first: State, sizes: &[f64]) -> State {
+    let (mut level, mut decay) = (Level::new(equations, first), Decay::new(equations, 0.0));
+    for &size in sizes {
+        decay.change(equations, size);
+        level = Level::new(equations, level.step(equations, &decay).after);
+    }
+    level.state
+}
+
 /// Goes on from `first` through the times of `stops`, in order; `watch` gets the time, the state and the size of each step
 /// taken, and may end the run. Returns the sizes.
 ///

@@ -149,3 +149,38 @@ impl Transform {
         taken.flatten().collect()
     }
 }
+
+/// The values of a field on a lattice `shape` at the points of another one of the same box, by the sum of modes that goes through
+/// the given values; along each axis it is the product with the modes' sum at a distance, 1 at 0.
+pub fn resampled(field: &[f64], shape: &[usize], other: &[usize]) -> Vec<f64> {
+    let (mut field, mut shape) = (field.to_vec(), shape.to_vec());
+    for axis in 0..shape.len() {
+        let (n, m) = (shape[axis], other[axis]);
+        if n == m {
+            continue;
+        }
+        let kernel = |i: usize, j: usize| {
+            // Whole numbers, so that points that coincide are found.
+            let apart = (i * n + n * m - j * m) % (n * m);
+            let half = std::f64::consts::PI * apart as f64 / (n * m) as f64;
+            match (apart, n % 2) {
+                (0, _) => 1.0,
+                (_, 0) => (n as f64 * half).sin() * half.cos() / (n as f64 * half.sin()),
+                _ => (n as f64 * half).sin() / (n as f64 * half.sin()),
+            }
+        };
+        let weights: Vec<f64> = (0..m * n).map(|k| kernel(k / n, k % n)).collect();
+        let inner: usize = shape[axis + 1..].iter().product();
+        let outer: usize = shape[..axis].iter().product();
+        let mut next = vec![0.0; outer * m * inner];
+        for (block, to) in field.chunks_exact(n * inner).zip(next.chunks_exact_mut(m * inner)) {
+            for (row, weights) in to.chunks_exact_mut(inner).zip(weights.chunks_exact(n)) {
+                for (from, weight) in block.chunks_exact(inner).zip(weights) {
+                    row.iter_mut().zip(from).for_each(|(to, x)| *to += weight * x);
+                }
+            }
+        }
+        (field, shape[axis]) = (next, m);
+    }
+    field
+}

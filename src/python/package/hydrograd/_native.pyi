@@ -46,6 +46,22 @@ def rollout(
 def read_trajectory(data: _Path, split: str, trajectory: Optional[str]) -> dict[str, Any]: ...
 
 @final
+class Flow:
+    def __new__(
+        cls,
+        velocity: _Array,
+        temperature: Optional[_Array],
+        size: list[float],
+        time: float,
+        numbers_of: list[float],
+        force: list[float],
+        buoyancy: Optional[tuple[list[float], float]],
+        fits: bool,
+    ) -> Flow: ...
+    def end(self) -> dict[str, Any]: ...
+    def vjp(self, velocity: _Array, temperature: Optional[_Array]) -> dict[str, Any]: ...
+
+@final
 class Scene:
     def __new__(cls, scene: str, preset: Optional[str], settings: list[str]) -> Scene: ...
     @property

@@ -1,0 +1,244 @@
+//! Commands for fixed particles in a periodic box without shapes.
+
+use super::files::{self, write_json};
+use super::machine;
+use super::page;
+use super::run_folder::{Earlier, RunFolder};
+use super::simulate_report::print_dimensionless;
+use crate::adjoint::check::check as compare;
+use crate::error::Error;
+use crate::io::csv::{write_table, Cell};
+use crate::io::vtk::VtkSeries;
+use crate::numerics::interrupt;
+use crate::numerics::random::{stream, uniform};
+use crate::numerics::threads::{count, in_words};
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::scene::load::Loaded;
+use crate::scene::periodic_box::{Moment, PeriodicBox};
+use crate::scene::periodic_flow::Gradient;
+use crate::scene::record::Record;
+use crate::sph::lattice::equations::{Equations, Materials};
+use crate::sph::lattice::march::repeat;
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+
+/// Ticks of the progress bar.
+const TICKS: f64 = 1000.0;
+
+/// `hydrograd simulate`: the flow to `time.end`, its figures over time, and frames for ParaView.
+pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let clock = Instant::now();
+    let own_box = PeriodicBox::new(config)?;
+    let own = RunFolder::take(folder, "simulate", earlier)?;
+    files::write_config(folder, loaded)?;
+    let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
+    let (end, frames) = (config.time.end, config.output.frames);
+    let bar = Progress::new(TICKS as u64, "simulate");
+    let (mut moments, mut next, mut step) = (vec![], 1, 0);
+    let gone = own_box.run(frames, &mut |moment, state| {
+        bar.set_position((TICKS * moment.time / end) as u64);
+        step += 1;
+        if frames > 0 && moment.time >= end * next as f64 / frames as f64 * (1.0 - 1e-12) {
+            let written = own_box.particle_fields(moment.time, step, state).with_frame(|frame| series.write(frame));
+            written.map_err(|error| Error::run(error.to_string(), "another --out".to_string()))?;
+            next += 1;
+        }
+        moments.push(*moment);
+        Ok(())
+    })?;
+    bar.finish();
+    let seconds = clock.elapsed().as_secs_f64();
+    let fields = own_box.particle_fields(end, gone.sizes.len(), &gone.last);
+    fields.write(folder, config, &loaded.text)?;
+    let has_grid = own_box.write_grid(folder, &fields)?;
+    let heat = files::plot_flow_and_heat(folder, &[("end", &fields)], config.resolution.dx)?;
+    moments.insert(0, own_box.moment(0.0, &gone.first));
+    write_history(folder, &moments)?;
+    let (velocity_error, temperature_error) = own_box.errors(&fields)?;
+    let n = own_box.particles();
+    let speed = |i: usize| fields.velocity.iter().skip(i).step_by(n).map(|u| u * u).sum::<f64>();
+    let fastest = (0..n).map(speed).fold(0.0, f64::max).sqrt();
+    let last = own_box.moment(end, &gone.last);
+    let volume = config.region.size.iter().product::<f64>() * config.fluid.density;
+    let mut record = Record::of_steady(loaded, fastest, seconds);
+    record.put("particles", n);
+    record.put("steps", gone.sizes.len());
+    record.put("time", end);
+    record.put("kinetic_energy", volume * last.kinetic_energy);
+    record.put("dissipation", volume * last.dissipation);
+    record.put("largest_velocity", fastest);
+    record.put("mean_temperature", last.mean_temperature);
+    record.put("velocity_error", velocity_error);
+    record.put("temperature_error", temperature_error);
+    files::write_summary(folder, &record)?;
+    let (least, most) = gone.sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
+    println!(
+        "{n} fixed particles, {} steps of {least:.2e} to {most:.2e} in {seconds:.2} s on {} ({:.2} ms a step)",
+        gone.sizes.len(),
+        in_words(count()),
+        1e3 * seconds / gone.sizes.len() as f64
+    );
+    println!(
+        "kinetic energy      {:.6e}, of {:.6e} at the start; dissipation {:.3e} per time",
+        volume * last.kinetic_energy,
+        volume * moments[0].kinetic_energy,
+        volume * last.dissipation
+    );
+    for (name, error) in [("velocity", velocity_error), ("temperature", temperature_error)] {
+        if let Some(error) = error {
+            println!("{:<20}{error:.3e}, root mean square", format!("{name} error"));
+        }
+    }
+    print_dimensionless(config, fastest);
+    println!(
+        "files in {}: report.html, summary.json, history.csv, flow.png{}, state.h5{}, particles/particles.pvd (ParaView)",
+        folder.display(),
+        if heat { ", temperature.png" } else { "" },
+        if has_grid { ", grid.h5, grid.vti (ParaView)" } else { "" }
+    );
+    page::write(folder)?;
+    own.finish()
+}
+
+fn write_history(folder: &Path, moments: &[Moment]) -> anyhow::Result<()> {
+    let mut header = vec!["time", "kinetic_energy_per_mass", "dissipation_per_mass"];
+    header.extend(moments[0].mean_temperature.map(|_| "mean_temperature"));
+    let row = |moment: &Moment| -> Vec<Cell> {
+        let all = [Some(moment.time), Some(moment.kinetic_energy), Some(moment.dissipation), moment.mean_temperature];
+        all.into_iter().flatten().map(Cell::from).collect()
+    };
+    Ok(write_table(&folder.join("history.csv"), &header, &moments.iter().map(row).collect::<Vec<_>>())?)
+}
+
+/// `hydrograd scenes check`.
+pub fn check(loaded: &Loaded) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let own_box = PeriodicBox::new(config)?;
+    let (shape, end) = (&own_box.flow.equations.transform.shape, config.time.end);
+    println!("{}: scene custom, {} dimensions, dx {}", loaded.source, shape.len(), config.resolution.dx);
+    println!("particles           {} on a periodic lattice {shape:?}", own_box.particles());
+    println!("method              fixed: a flow in time to t = {end}, whose steps are chosen on the way");
+    machine::answer(&json!({
+        "scene": config.scene,
+        "dimensions": shape.len(),
+        "dx": config.resolution.dx,
+        "particles": { "all": own_box.particles(), "kinds": { "fluid": own_box.particles() } },
+        "warnings": [],
+    }));
+    Ok(())
+}
+
+/// Largest error of a derivative along a direction, relative to the lengths of gradient and direction.
+const TOLERANCE: f64 = 1e-7;
+/// Steps of the differences, in parts of the largest number.
+const STEPS: [f64; 5] = [1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
+
+/// `hydrograd check-gradient`: the derivative of the kinetic energy at the end by the fields at the start, by viscosity and
+/// diffusivity, and by the acceleration, along the steps of the run.
+pub fn check_gradient(loaded: &Loaded, folder: &Path, directions: usize) -> anyhow::Result<()> {
+    let config = &loaded.config;
+    let own_box = PeriodicBox::new(config)?;
+    let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
+    let clock = Instant::now();
+    let gone = own_box.run(0, &mut |_, _| Ok(()))?;
+    let (forward, clock) = (clock.elapsed().as_secs_f64(), Instant::now());
+    let equations = &own_box.flow.equations;
+    let (d, n) = (equations.dimension(), own_box.particles());
+    // Energy per mass, sum of u^2 / 2 over N.
+    let by_fields: Vec<Vec<f64>> = equations
+        .at_particles(&gone.last)
+        .iter()
+        .enumerate()
+        .map(|(f, field)| field.iter().map(|u| if f < d { u / n as f64 } else { 0.0 }).collect())
+        .collect();
+    let Gradient { fields, materials: of, .. } = own_box.flow.gradient(&gone, &by_fields)?;
+    let backward = clock.elapsed().as_secs_f64();
+    let value = equations.energy(&gone.last);
+    let given = &equations.materials;
+    let numbers: Vec<f64> = std::iter::once(given.viscosity).chain(given.diffusivity).collect();
+    let by_numbers: Vec<f64> = [of.viscosity, of.diffusivity][..numbers.len()].to_vec();
+    let groups = [
+        ("fields at the start", own_box.fields.concat(), fields.concat()),
+        ("viscosity, diffusivity", numbers.clone(), by_numbers),
+        ("acceleration", given.force.clone(), of.force.clone()),
+    ];
+    let mut random = stream(config.run.seed, "check");
+    let bar = Progress::new((groups.len() * directions * STEPS.len() * 2) as u64, "check-gradient");
+    let mut table = Table::new(["by", "direction", "gradient", "differences", "step", "relative error"]);
+    let (mut worst, mut rows) = (0.0f64, vec![]);
+    for (k, (name, x, gradient)) in groups.iter().enumerate() {
+        let scale = x.iter().fold(0.0f64, |most, x| most.max(x.abs()));
+        let scale = if scale > 0.0 { scale } else { 1.0 };
+        let directions: Vec<Vec<f64>> = (0..directions)
+            .map(|_| x.iter().map(|_| scale * (2.0 * uniform(&mut random) - 1.0)).collect())
+            .collect();
+        let found = compare(value, gradient, x, &directions, &STEPS, |moved| {
+            interrupt::check()?;
+            bar.done(1);
+            let mut materials = given.clone();
+            match k {
+                0 => {}
+                1 => {
+                    materials.viscosity = moved[0];
+                    materials.diffusivity = given.diffusivity.map(|_| moved[1]);
+                }
+                _ => materials.force.copy_from_slice(moved),
+            }
+            let fields: Vec<Vec<f64>> = match k {
+                0 => moved.chunks_exact(n).map(<[f64]>::to_vec).collect(),
+                _ => own_box.fields.clone(),
+            };
+            let other = Equations { materials: Materials { ..materials }, ..equations.clone() };
+            Ok::<f64, Error>(other.energy(&repeat(&other, other.state(&fields), &gone.sizes)))
+        })?;
+        for (number, direction) in found.iter().enumerate() {
+            let Some(best) = direction.best() else { continue };
+            worst = worst.max(if best.error.is_nan() { f64::INFINITY } else { best.error });
+            table.row([
+                name.to_string(),
+                number.to_string(),
+                format!("{:+.9e}", direction.gradient),
+                format!("{:+.9e}", best.difference),
+                format!("{:.0e}", best.step),
+                format!("{:.1e}", best.error),
+            ]);
+            rows.push(json!({
+                "by": name, "gradient": direction.gradient, "difference": best.difference, "relative_error": best.error,
+            }));
+        }
+    }
+    bar.finish();
+    let passed = worst <= TOLERANCE;
+    files::write_config(folder, loaded)?;
+    let norm = fields.iter().flatten().map(|g| g * g).sum::<f64>().sqrt();
+    let report = json!({
+        "passed": passed,
+        "tolerance": TOLERANCE,
+        "worst_relative_error": worst,
+        "objective_kind": "kinetic energy per mass at the end",
+        "objective": value,
+        "gradient_norm": norm,
+        "directions": rows,
+        "steps": gone.sizes.len(),
+        "solve_seconds": forward,
+        "gradient_seconds": backward,
+    });
+    write_json(&folder.join("gradient_check.json"), &report)?;
+    page::write(folder)?;
+    println!(
+        "{n} fixed particles, {} steps, kinetic energy per mass {value:.9} at the end, |gradient| = {norm:.4e}; flow in \
+         {forward:.3} s, gradient in {backward:.3} s",
+        gone.sizes.len()
+    );
+    println!("{}", table.to_text());
+    println!("files in {}: gradient_check.json, report.html", folder.display());
+    if !passed {
+        let problem = format!("the gradient check FAILED: relative error {worst:.1e}, allowed {TOLERANCE:.0e}");
+        return Err(Error::run(problem, "a shorter time.end: nearby flows may drift apart".to_string()).into());
+    }
+    println!("PASSED: relative error {worst:.1e}, allowed {TOLERANCE:.0e}");
+    own.finish()
+}
