@@ -46,6 +46,7 @@ mod neighbours;
 mod numerics;
 mod operators;
 mod page;
+mod periodic_box;
 mod plan;
 mod plots;
 mod random_configurations;

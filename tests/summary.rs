@@ -48,8 +48,19 @@ lower = 0.05
 upper = 0.08
 "#;
 
+/// Warm vortices in a periodic box.
+const PERIODIC: &str = r#"
+scene = "custom"
+method = { name = "fixed", flow = "unsteady" }
+region = { size = [1.0, 1.0], periodic = [true, true], acceleration = [0.0, 0.0] }
+resolution = { dx = 0.1 }
+initial = { velocity = ["sin(2*PI*y)", 0], temperature = "1 + x*(1 - x)" }
+time = { end = 0.2 }
+"#;
+
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 22] = [
+const RUNS: [(&str, &str); 23] = [
+    ("periodic", "simulate periodic.toml"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.window=0.02"),
     ("steady", "simulate steady.toml"),
     ("steady", "simulate steady.toml --set fluid.viscosity=0.002"),
@@ -85,6 +96,7 @@ fn runs_have_the_fields_of_the_page() {
     let at = folder.path();
     std::fs::write(at.join("pin.toml"), PIN).unwrap();
     std::fs::write(at.join("steady.toml"), STEADY).unwrap();
+    std::fs::write(at.join("periodic.toml"), PERIODIC).unwrap();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models").display().to_string();
     let mut written: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     let mut read = |kind: &'static str, command: &str, out: &str| {

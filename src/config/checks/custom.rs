@@ -86,9 +86,6 @@ impl Config {
     fn check_files_and_grid(&self) -> Result<(), BadInput> {
         const NEEDS: &str = "with method.name = fixed, method.flow = unsteady, and a box that is periodic along all axes, without shapes";
         let bad = |key: &str, problem: &str| BadInput::at(key, format!("{key} {problem}"));
-        if self.exact.file.is_some() {
-            return Err(bad("exact.file", "has no meaning: an exact solution is formulas").allowed("exact.velocity"));
-        }
         if self.initial.file.is_some() {
             if !self.is_periodic_box() {
                 return Err(bad("initial.file", "in a scene without a lattice that stays").allowed(NEEDS));
