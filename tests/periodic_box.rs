@@ -129,11 +129,47 @@ fn what_cannot_be_is_refused() {
     refuse(&["initial.file=small.npy"], &["initial.file", "initial.velocity", "one of both"]);
     refuse(&["output.grid=[4]"], &["output.grid", "2 whole numbers"]);
     refuse(&["output.grid=[0,4]"], &["output.grid", "1 ... 4096"]);
-    refuse(&["region.periodic=[true,false]"], &["output.grid", "periodic along all axes"]);
+    refuse(&["region.periodic=[true,false]", none, "initial.file=small.npy"], &["initial.file", "periodic along all axes"]);
+    refuse(&["method.name=consistent"], &["method.flow", "method.name=fixed"]);
     refuse(&["method.derivatives=guesses"], &["derivatives", "fits"]);
     refuse(&["resolution.dx=0.11"], &["resolution.dx", "divide"]);
     refuse(&["initial.velocity=['1/x',0]"], &["initial.velocity[0]", "finite"]);
     refuse(&["fluid.drive=flow-rate", "fluid.flow_rate=1.0"], &["fluid.drive"]);
+}
+
+#[test]
+fn flow_around_a_body_is_written_on_a_grid() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // Between walls without a body the flow is a parabola, which fits have exactly.
+    let channel = r#"
+scene = "custom"
+method.name = "fixed"
+region = { size = [1.0, 0.5], acceleration = [0.64, 0.0] }
+fluid = { viscosity = 0.02 }
+resolution = { dx = 0.05 }
+output = { grid = [5, 20], frames = 0 }
+"#;
+    write(at, channel);
+    succeeds(at, &["simulate", "box.toml", "--out", "channel"]);
+    let (shape, velocity) = dataset(&at.join("channel/grid.h5"), "velocity");
+    assert_eq!(shape, [5, 20, 2]);
+    for k in 0..100 {
+        let y = 0.5 * (k % 20) as f64 / 20.0;
+        let exact = 16.0 * y * (0.5 - y);
+        assert!((velocity[2 * k] - exact).abs() < 1e-6 && velocity[2 * k + 1].abs() < 1e-6, "{k}: {}", velocity[2 * k]);
+    }
+    // Inside of a body there is nothing.
+    write(at, &format!("{channel}[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.25]\nradius = 0.1\n"));
+    succeeds(at, &["simulate", "box.toml", "--out", "disc", "--set", "output.grid=[20,20]"]);
+    let (_, pressure) = dataset(&at.join("disc/grid.h5"), "pressure");
+    for (k, pressure) in pressure.iter().enumerate() {
+        let away = ((k / 20) as f64 / 20.0 - 0.5).hypot(0.5 * (k % 20) as f64 / 20.0 - 0.25);
+        // Points on the surface belong to neither side.
+        if (away - 0.1).abs() > 1e-3 {
+            assert_eq!(pressure.is_nan(), away < 0.1, "{k}: {away}");
+        }
+    }
 }
 
 #[test]

@@ -58,6 +58,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     }
     let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     fields.write(folder, config, &loaded.text)?;
+    around.write_grid(folder, &last, end)?;
     let heat = files::plot_flow_and_heat(folder, &[("end", &fields)], config.resolution.dx)?;
     write_history(folder, &history)?;
     let from = around.window();

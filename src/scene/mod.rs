@@ -4,6 +4,7 @@
 //! exact solution), from which [`assembly`] makes a [`Scene`]. A new verification flow needs its TOML and an arm in
 //! [`flows`].
 pub mod accuracy;
+pub mod around_grid;
 pub mod around_in_time;
 pub mod around_shapes;
 pub mod assembly;

@@ -27,7 +27,7 @@ def test_everything_public_is_documented():
                     if not inspect.getdoc(value):
                         missing.append(f"{name}.{method}")
     assert not missing
-    assert all(module.__doc__ for module in (hydrograd, hydrograd.mosaic))
+    assert all(module.__doc__ for module in (hydrograd, hydrograd.tesseract, hydrograd.mosaic))
     with pytest.raises(AttributeError, match="tensorflow"):
         _ = hydrograd.tensorflow
 

@@ -98,8 +98,10 @@ impl Config {
         if grid.is_empty() {
             return Ok(());
         }
-        if !self.is_periodic_box() {
-            return Err(bad("output.grid", "in a scene without a lattice that stays").allowed(NEEDS));
+        if !self.is_around_shapes() {
+            return Err(bad("output.grid", "of particles that move")
+                .allowed("with method.name = fixed")
+                .advice("method.name=fixed"));
         }
         let d = self.region.size.len();
         if grid.len() != d || grid.iter().any(|n| !(1..=4096).contains(n)) || grid.iter().product::<usize>() > 1 << 28 {

@@ -1,7 +1,10 @@
 """Incompressible flow from a velocity field to a velocity field, with the interface of Mosaic's solvers ``ns-grid``, ``ns-3d-grid``.
 
-Fixed particles on the grid's own points, exact derivatives of all modes, steps in time chosen by their error; see
+In a periodic box: fixed particles on the grid's own points, exact derivatives of all modes, steps in time chosen by their error; see
 :func:`hydrograd.periodic_flow`. Nothing is compiled: every N, viscosity and number of steps runs at once.
+
+Around a body, see ``body.py``: a cylinder between walls behind an ``inflow_profile``, its **steady** flow. It is refused where the flow is
+not steady by then, or would not be.
 
     Tesseract.from_tesseract_api(hydrograd.navier_stokes_grid.tesseract_api.__file__)      # without docker
 """
@@ -15,6 +18,8 @@ import hydrograd
 import numpy as np
 from pydantic import BaseModel, Field
 from tesseract_core.runtime import Array, Differentiable, Float32
+
+from hydrograd.navier_stokes_grid import body
 
 #: The error of a step in time.
 TOLERANCE = 1e-7
@@ -69,16 +74,20 @@ class InputSchema(BaseModel):
     )
     steps: int = Field(default=300, ge=0, description="Number of intervals.")
     domain_extent: float = Field(default=2 * math.pi, gt=0, description="Length of the box along x.")
-    boundary_conditions: Faces = Field(default_factory=Faces, description="Sides; periodic is what there is.")
-    obstacle: Optional[Obstacle] = Field(default=None, description="Refused: bodies are scenes, see the page on methods.")
-    inflow_profile: Optional[Array[(None,), Float32]] = Field(default=None, description="Refused, as bodies are.")
+    boundary_conditions: Faces = Field(default_factory=Faces, description="Sides: periodic, or with a body no_slip along y.")
+    obstacle: Optional[Obstacle] = Field(default=None, description="A cylinder, with an inflow_profile.")
+    inflow_profile: Optional[Differentiable[Array[(None,), Float32]]] = Field(
+        default=None, description="With a body: the velocity along x at x = 0, [N]; entry j at j L / N."
+    )
 
 
 class OutputSchema(BaseModel):
     """What :func:`apply` gives."""
 
     result: Differentiable[Array[(None, None, None, None), Float32]] = Field(description="Velocity at the end, as v0.")
-    drag: Optional[Array[(1,), Float32]] = Field(default=None, description="None: there is no body.")
+    drag: Optional[Differentiable[Array[(1,), Float32]]] = Field(
+        default=None, description="Force of the fluid on the body along x, over density and depth; None without a body."
+    )
 
 
 def _flow(inputs: InputSchema) -> hydrograd.Flow:
@@ -86,9 +95,8 @@ def _flow(inputs: InputSchema) -> hydrograd.Flow:
         kind = getattr(inputs.boundary_conditions, name).type
         if kind != "periodic":
             raise ValueError(f"boundary_conditions.{name} = {kind!r}\n  allowed: periodic")
-    for name in ("obstacle", "inflow_profile"):
-        if getattr(inputs, name) is not None:
-            raise ValueError(f"{name} is given\n  allowed: None, a periodic box without a body")
+    if inputs.inflow_profile is not None:
+        raise ValueError("inflow_profile without an obstacle\n  allowed: both, or a periodic box")
     v0 = np.asarray(inputs.v0, dtype=np.float64)
     if v0.shape[-1] not in (2, 3) or (v0.shape[-1] == 2 and v0.shape[2] != 1):
         raise ValueError(f"v0 of shape {v0.shape}\n  allowed: [N, N, 1, 2] or [N, N, N, 3]")
@@ -102,7 +110,10 @@ def _flow(inputs: InputSchema) -> hydrograd.Flow:
 
 
 def apply(inputs: InputSchema) -> OutputSchema:
-    """The velocity after ``steps * dt``."""
+    """The velocity after ``steps * dt``, and the drag of a body."""
+    if inputs.obstacle is not None:
+        steady, velocity = body.flow(inputs, gradient=False)
+        return OutputSchema(result=velocity, drag=np.array([steady.objective], np.float32))
     flow = _flow(inputs)
     return OutputSchema(result=flow.velocity.reshape(np.shape(inputs.v0)).astype(np.float32))
 
@@ -110,7 +121,10 @@ def apply(inputs: InputSchema) -> OutputSchema:
 def vector_jacobian_product(
     inputs: InputSchema, vjp_inputs: set[str], vjp_outputs: set[str], cotangent_vector: dict[str, Any]
 ) -> dict[str, Any]:
-    """The cotangents of v0, viscosity and dt from that of the result: exact, for the steps in time that were taken."""
+    """The cotangents of v0, viscosity and dt from that of the result: exact, for the steps in time that were taken. With a body that of
+    the inflow_profile from that of the drag."""
+    if inputs.obstacle is not None:
+        return body.cotangents(inputs, vjp_inputs, {name: cotangent_vector.get(name) for name in vjp_outputs})
     flow = _flow(inputs)
     shape = np.shape(inputs.v0)
     cotangent = cotangent_vector.get("result") if "result" in vjp_outputs else None
@@ -125,7 +139,9 @@ def vector_jacobian_product(
 
 
 def abstract_eval(abstract_inputs: Any) -> dict[str, Any]:
-    """Shape and type of the result."""
-    v0 = abstract_inputs.model_dump()["v0"]
+    """Shapes and types of the outputs."""
+    given = abstract_inputs.model_dump()
+    v0 = given["v0"]
     shape = v0["shape"] if isinstance(v0, dict) and "shape" in v0 else np.shape(v0)
-    return {"result": {"shape": tuple(shape), "dtype": "float32"}, "drag": None}
+    drag = None if given["obstacle"] is None else {"shape": (1,), "dtype": "float32"}
+    return {"result": {"shape": tuple(shape), "dtype": "float32"}, "drag": drag}

@@ -1,4 +1,4 @@
-"""The endpoints of the Mosaic benchmark."""
+"""hydrograd's designs as a Tesseract."""
 
 from pathlib import Path
 
@@ -15,31 +15,32 @@ def inputs_of(scene, **more):
 def test_apply_and_vjp_are_ours_to_the_bit(scene):
     inputs = inputs_of(scene)
     q, gradient = scene.value_and_gradient(inputs["design"])
-    found = hydrograd.mosaic.apply(inputs)
+    found = hydrograd.tesseract.apply(inputs)
     assert list(found) == ["q"] and found["q"].shape == () and float(found["q"]) == q
-    back = hydrograd.mosaic.vjp(inputs, {"design"}, {"q"}, {"q": np.asarray(-3.0)})
+    back = hydrograd.tesseract.vjp(inputs, {"design"}, {"q"}, {"q": np.asarray(-3.0)})
     np.testing.assert_array_equal(back["design"], -3.0 * gradient)
-    assert hydrograd.mosaic.vector_jacobian_product is hydrograd.mosaic.vjp
-    assert hydrograd.mosaic.abstract_eval(inputs) == {"q": {"shape": (), "dtype": "float64"}}
+    assert hydrograd.tesseract.vector_jacobian_product is hydrograd.tesseract.vjp
+    assert hydrograd.mosaic.apply is hydrograd.tesseract.apply, "the former name"
+    assert hydrograd.tesseract.abstract_eval(inputs) == {"q": {"shape": (), "dtype": "float64"}}
 
 
 def test_wrong_names_are_refused(scene):
     inputs = inputs_of(scene)
     with pytest.raises(ValueError, match="unknown input 'colour'"):
-        hydrograd.mosaic.apply({**inputs, "colour": 1})
+        hydrograd.tesseract.apply({**inputs, "colour": 1})
     with pytest.raises(ValueError, match="'settings' can not be differentiated"):
-        hydrograd.mosaic.vjp(inputs, {"settings"}, {"q"}, {"q": 1.0})
+        hydrograd.tesseract.vjp(inputs, {"settings"}, {"q"}, {"q": 1.0})
     with pytest.raises(ValueError, match="'t' can not be differentiated"):
-        hydrograd.mosaic.vjp(inputs, {"design"}, {"t"}, {"t": 1.0})
-    assert hydrograd.mosaic.vjp(inputs, set(), {"q"}, {"q": 1.0}) == {}
-    assert not hydrograd.mosaic.vjp(inputs, {"design"}, set(), {})["design"].any()
+        hydrograd.tesseract.vjp(inputs, {"design"}, {"t"}, {"t": 1.0})
+    assert hydrograd.tesseract.vjp(inputs, set(), {"q"}, {"q": 1.0}) == {}
+    assert not hydrograd.tesseract.vjp(inputs, {"design"}, set(), {})["design"].any()
 
 
 def test_it_is_a_tesseract(scene, tmp_path: Path):
     core = pytest.importorskip("tesseract_core", reason="tesseract-core[runtime] is not installed")
     pytest.importorskip("tesseract_core.runtime", reason="tesseract-core[runtime] is not installed")
     api = tmp_path / "tesseract_api.py"
-    api.write_text("from hydrograd.mosaic import *\n")
+    api.write_text("from hydrograd.tesseract import *\n")
     inputs = inputs_of(scene)
     q, gradient = scene.value_and_gradient(inputs["design"])
     tesseract = core.Tesseract.from_tesseract_api(api)
