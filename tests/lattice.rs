@@ -96,9 +96,11 @@ fn transforms_are_sums_over_all_particles() {
         let spectrum = transform.forwards(values.clone());
         // A mode as a plain sum.
         let m: Vec<usize> = shape.iter().map(|n| n / 2).collect();
-        let mode = m.iter().zip(&shape).enumerate().fold(0, |at, (a, (m, n))| {
-            at * if a + 1 == shape.len() { n / 2 + 1 } else { *n } + m
-        });
+        let mode = m
+            .iter()
+            .zip(&shape)
+            .enumerate()
+            .fold(0, |at, (a, (m, n))| at * if a + 1 == shape.len() { n / 2 + 1 } else { *n } + m);
         let (mut re, mut im) = (0.0, 0.0);
         for (place, value) in places(&shape, 1.0).iter().zip(&values) {
             let phase: f64 = (0..shape.len()).map(|a| -TAU * m[a] as f64 * place[a] / shape[a] as f64).sum();
@@ -174,8 +176,7 @@ fn taylor_green_decays_as_it_should() {
         errors.push(rms(&found[0], &start[0].iter().map(|u| u * decay).collect::<Vec<f64>>()));
         // The pressure of the flow: (cos 2x + cos 2y) / 4.
         if kind == Derivatives::Spectral {
-            let exact =
-                field(&[n, n], flow.dx, |p| 0.25 * decay * decay * ((2.0 * p[0]).cos() + (2.0 * p[1]).cos()));
+            let exact = field(&[n, n], flow.dx, |p| 0.25 * decay * decay * ((2.0 * p[0]).cos() + (2.0 * p[1]).cos()));
             assert!(rms(&flow.pressure(&end), &exact) < 1e-12);
         }
     }
@@ -227,7 +228,9 @@ fn steps_are_of_fourth_order_and_keep_to_their_tolerance() {
 
 #[test]
 fn without_viscosity_energy_and_momentum_stay() {
-    for (shape, kind) in [(vec![16, 16], BOTH[0]), (vec![15, 18], BOTH[1]), (vec![8, 9, 8], BOTH[0]), (vec![8, 8, 8], BOTH[1])] {
+    for (shape, kind) in
+        [(vec![16, 16], BOTH[0]), (vec![15, 18], BOTH[1]), (vec![8, 9, 8], BOTH[0]), (vec![8, 8, 8], BOTH[1])]
+    {
         let mut own = materials(shape.len(), 0.0);
         own.diffusivity = Some(0.0);
         let flow = equations(&shape, own, kind);
@@ -365,26 +368,46 @@ fn gradients_are_exact() {
         };
         let mut checks = vec![
             ("start", along, difference(&|h| weighed.value(&moved(h), &own, &sizes))),
-            ("viscosity", found.materials.viscosity, difference(&|h| {
-                weighed.value(&start, &Materials { viscosity: own.viscosity + h, ..own.clone() }, &sizes)
-            })),
-            ("diffusivity", found.materials.diffusivity, difference(&|h| {
-                weighed.value(&start, &Materials { diffusivity: own.diffusivity.map(|x| x + h), ..own.clone() }, &sizes)
-            })),
+            (
+                "viscosity",
+                found.materials.viscosity,
+                difference(&|h| {
+                    weighed.value(&start, &Materials { viscosity: own.viscosity + h, ..own.clone() }, &sizes)
+                }),
+            ),
+            (
+                "diffusivity",
+                found.materials.diffusivity,
+                difference(&|h| {
+                    weighed.value(
+                        &start,
+                        &Materials { diffusivity: own.diffusivity.map(|x| x + h), ..own.clone() },
+                        &sizes,
+                    )
+                }),
+            ),
         ];
         for a in 0..d {
-            checks.push(("force", found.materials.force[a], difference(&|h| {
-                let mut force = own.force.clone();
-                force[a] += h;
-                weighed.value(&start, &Materials { force, ..own.clone() }, &sizes)
-            })));
+            checks.push((
+                "force",
+                found.materials.force[a],
+                difference(&|h| {
+                    let mut force = own.force.clone();
+                    force[a] += h;
+                    weighed.value(&start, &Materials { force, ..own.clone() }, &sizes)
+                }),
+            ));
         }
         for k in [0, 2, 4] {
-            checks.push(("size", found.sizes[k], difference(&|h| {
-                let mut sizes = sizes;
-                sizes[k] += h;
-                weighed.value(&start, &own, &sizes)
-            })));
+            checks.push((
+                "size",
+                found.sizes[k],
+                difference(&|h| {
+                    let mut sizes = sizes;
+                    sizes[k] += h;
+                    weighed.value(&start, &own, &sizes)
+                }),
+            ));
         }
         for (name, exact, difference) in checks {
             let error = (exact / difference - 1.0).abs();

@@ -129,7 +129,10 @@ fn what_cannot_be_is_refused() {
     refuse(&["initial.file=small.npy"], &["initial.file", "initial.velocity", "one of both"]);
     refuse(&["output.grid=[4]"], &["output.grid", "2 whole numbers"]);
     refuse(&["output.grid=[0,4]"], &["output.grid", "1 ... 4096"]);
-    refuse(&["region.periodic=[true,false]", none, "initial.file=small.npy"], &["initial.file", "periodic along all axes"]);
+    refuse(
+        &["region.periodic=[true,false]", none, "initial.file=small.npy"],
+        &["initial.file", "periodic along all axes"],
+    );
     refuse(&["method.name=consistent"], &["method.flow", "method.name=fixed"]);
     refuse(&["method.derivatives=guesses"], &["derivatives", "fits"]);
     refuse(&["resolution.dx=0.11"], &["resolution.dx", "divide"]);

@@ -2,9 +2,9 @@
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::around_shapes;
-use super::periodic_box;
 use super::files::{self, write_json};
 use super::page;
+use super::periodic_box;
 use super::prepare::{build, open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine, Direction};

@@ -176,9 +176,8 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path, directions: usize) -> anyh
     for (k, (name, x, gradient)) in groups.iter().enumerate() {
         let scale = x.iter().fold(0.0f64, |most, x| most.max(x.abs()));
         let scale = if scale > 0.0 { scale } else { 1.0 };
-        let directions: Vec<Vec<f64>> = (0..directions)
-            .map(|_| x.iter().map(|_| scale * (2.0 * uniform(&mut random) - 1.0)).collect())
-            .collect();
+        let directions: Vec<Vec<f64>> =
+            (0..directions).map(|_| x.iter().map(|_| scale * (2.0 * uniform(&mut random) - 1.0)).collect()).collect();
         let found = compare(value, gradient, x, &directions, &STEPS, |moved| {
             interrupt::check()?;
             bar.done(1);

@@ -2,9 +2,9 @@
 
 use super::arguments::{check_preset, CommonArguments};
 use super::around_shapes;
-use super::periodic_box;
 use super::files;
 use super::machine;
+use super::periodic_box;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;

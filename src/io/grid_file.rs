@@ -26,7 +26,12 @@ pub fn read_velocity(path: &Path, shape: &[usize]) -> Result<Vec<Vec<f64>>, File
     let d = shape.len();
     let wanted = [shape, &[d]].concat();
     if found != wanted {
-        return Err(mismatch(path, NAME, format!("of shape {found:?}"), &format!("of shape {wanted:?}, by region.size over resolution.dx")));
+        return Err(mismatch(
+            path,
+            NAME,
+            format!("of shape {found:?}"),
+            &format!("of shape {wanted:?}, by region.size over resolution.dx"),
+        ));
     }
     Ok((0..d).map(|a| numbers[a..].iter().step_by(d).copied().collect()).collect())
 }

@@ -12,8 +12,10 @@ const HINT: &str = "write it with numpy.save of a contiguous array of float32 or
 /// A file that is missing, damaged, or of other numbers.
 pub fn read_npy(path: &Path) -> Result<(Vec<usize>, Vec<f64>), FileError> {
     let bytes = std::fs::read(path).map_err(|source| FileError::read(path, source))?;
-    let damaged = |what: &str| FileError::Damaged { path: path.to_owned(), format: FORMAT, what: what.into(), hint: HINT };
-    let version = bytes.strip_prefix(b"\x93NUMPY").and_then(|rest| rest.first()).ok_or_else(|| damaged("no such file"))?;
+    let damaged =
+        |what: &str| FileError::Damaged { path: path.to_owned(), format: FORMAT, what: what.into(), hint: HINT };
+    let version =
+        bytes.strip_prefix(b"\x93NUMPY").and_then(|rest| rest.first()).ok_or_else(|| damaged("no such file"))?;
     let (from, width): (usize, usize) = if *version == 1 { (10, 2) } else { (12, 4) };
     let length = bytes.get(8..8 + width).ok_or_else(|| damaged("its header ends early"))?;
     let length = length.iter().rev().fold(0usize, |all, byte| all << 8 | usize::from(*byte));

@@ -64,7 +64,10 @@ impl Flow {
         let mut fields = components(&numbers(&velocity), d);
         if let Some(temperature) = &temperature {
             if temperature.shape() != &shape[..d] {
-                return Err(bad(format!("temperature of shape {:?}", temperature.shape()), "the velocity's without its last"));
+                return Err(bad(
+                    format!("temperature of shape {:?}", temperature.shape()),
+                    "the velocity's without its last",
+                ));
             }
             fields.push(numbers(temperature));
         }
@@ -121,7 +124,10 @@ impl Flow {
         let (shape, d) = (&equations.transform.shape, equations.dimension());
         let whole = [shape.as_slice(), &[d]].concat();
         if velocity.shape() != whole {
-            return Err(bad(format!("velocity of shape {:?}", velocity.shape()), &format!("that of the flow, {whole:?}")));
+            return Err(bad(
+                format!("velocity of shape {:?}", velocity.shape()),
+                &format!("that of the flow, {whole:?}"),
+            ));
         }
         let mut by_fields = components(&numbers(&velocity), d);
         if equations.fields() > d {

@@ -35,7 +35,11 @@ impl AroundShapes {
                 let value = found.map_or(f64::NAN, |(_, i)| {
                     let d = shaped.operators.derivatives(&equations.stencils, i, &solution.state.fields[f]);
                     let [x, y] = plane.between(places[i], p);
-                    solution.state.fields[f][i] + d[0] * x + d[1] * y + 0.5 * (d[2] * x + d[3] * y) * x + 0.5 * (d[3] * x + d[4] * y) * y
+                    solution.state.fields[f][i]
+                        + d[0] * x
+                        + d[1] * y
+                        + 0.5 * (d[2] * x + d[3] * y) * x
+                        + 0.5 * (d[3] * x + d[4] * y) * y
                 });
                 to.push(value);
             }

@@ -160,7 +160,8 @@ impl PeriodicBox {
             let exact = self.at_places(|place| function.at_time(place, fields.time));
             exact.iter().zip(found).map(|(exact, found)| (found - exact).powi(2)).sum::<f64>() / n as f64
         };
-        let of_velocity = || velocity.iter().zip(fields.velocity.chunks_exact(n)).map(|(f, u)| square(f, u)).sum::<f64>();
+        let of_velocity =
+            || velocity.iter().zip(fields.velocity.chunks_exact(n)).map(|(f, u)| square(f, u)).sum::<f64>();
         let by = self.config.fluid.reference_velocity;
         let of_temperature = temperature.as_ref().zip(fields.temperature.as_ref()).map(|(f, t)| square(f, t).sqrt());
         Ok(((!velocity.is_empty()).then(|| of_velocity().sqrt() / by), of_temperature))

@@ -52,7 +52,8 @@ impl PeriodicFlow {
         if !(2..=3).contains(&d) || size.len() != d {
             return bad(format!("a lattice {shape:?} in a box {size:?}"), "two or three dimensions");
         }
-        if shape.iter().any(|&n| n < FEWEST) || shape.iter().try_fold(1, |all: usize, &n| all.checked_mul(n)) > Some(MOST)
+        if shape.iter().any(|&n| n < FEWEST)
+            || shape.iter().try_fold(1, |all: usize, &n| all.checked_mul(n)) > Some(MOST)
         {
             return bad(format!("a lattice {shape:?}"), "5 particles or more along each axis, 2^28 in all");
         }
@@ -78,7 +79,8 @@ impl PeriodicFlow {
         let d = self.equations.dimension();
         let Materials { force, buoyancy, .. } = &self.equations.materials;
         let mean = |x: &[f64]| x.iter().sum::<f64>() / x.len() as f64;
-        let deviation = |x: &[f64]| (mean(&x.iter().map(|x| x * x).collect::<Vec<f64>>()) - mean(x).powi(2)).max(0.0).sqrt();
+        let deviation =
+            |x: &[f64]| (mean(&x.iter().map(|x| x * x).collect::<Vec<f64>>()) - mean(x).powi(2)).max(0.0).sqrt();
         let square = |x: &Vec<f64>| x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64;
         let norm = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>().sqrt();
         let warmth = fields.get(d).map_or(0.0, |t| deviation(t));
@@ -118,10 +120,13 @@ impl PeriodicFlow {
             last.clone_from(state);
             Ok(())
         };
-        let sizes = run(&self.equations, first.clone(), stops, control, &mut seen).map_err(|failure| match failure {
-            Failure::Flow(why) => Error::diverged(why.to_string(), "a smaller time.step, or a finer lattice".to_string()),
-            Failure::Other(error) => error,
-        })?;
+        let sizes =
+            run(&self.equations, first.clone(), stops, control, &mut seen).map_err(|failure| match failure {
+                Failure::Flow(why) => {
+                    Error::diverged(why.to_string(), "a smaller time.step, or a finer lattice".to_string())
+                }
+                Failure::Other(error) => error,
+            })?;
         Ok(Gone { first, last, sizes })
     }
 

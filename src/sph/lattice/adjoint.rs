@@ -123,12 +123,16 @@ fn step_back(
         let term = |of: &(dyn Fn(usize) -> Complex64 + Sync)| -> Spectrum { (0..transform.modes()).map(of).collect() };
         let pairs = [
             // What stands by h, and the sum of m E^m terms.
-            (&out[f], term(&|k| after[f][k] - e[k] * e[k] * u[f][k]), term(&|k| {
-                let x1 = a2[f][k] - e[k] * u[f][k];
-                let x2 = a3[f][k] - e[k] * u[f][k];
-                let x3 = a4[f][k] - e[k] * e[k] * u[f][k];
-                e[k] * (2.0 * e[k] * u[f][k] + 2.0 / 3.0 * (x1 + x2)) + x3 / 3.0
-            })),
+            (
+                &out[f],
+                term(&|k| after[f][k] - e[k] * e[k] * u[f][k]),
+                term(&|k| {
+                    let x1 = a2[f][k] - e[k] * u[f][k];
+                    let x2 = a3[f][k] - e[k] * u[f][k];
+                    let x3 = a4[f][k] - e[k] * e[k] * u[f][k];
+                    e[k] * (2.0 * e[k] * u[f][k] + 2.0 / 3.0 * (x1 + x2)) + x3 / 3.0
+                }),
+            ),
             (&b2[f], term(&|k| a2[f][k] - e[k] * u[f][k]), a2[f].clone()),
             (&b3[f], term(&|k| a3[f][k] - e[k] * u[f][k]), term(&|k| e[k] * u[f][k])),
             (&b4[f], term(&|k| a4[f][k] - e[k] * e[k] * u[f][k]), term(&|k| a4[f][k] + e[k] * e[k] * u[f][k])),

@@ -90,9 +90,8 @@ impl Weights {
             let is_it = |p: &Vec<isize>| p[a] == n && p.iter().sum::<isize>() == n;
             let unit: [Number; Q] = std::array::from_fn(|k| Number::splat(if is_it(&powers[k]) { 1.0 } else { 0.0 }));
             let row = solve(&matrix, unit);
-            let of = |r: &Vec<isize>, q: &[Number; Q]| {
-                (0..Q).map(|k| (row[k] * q[k] * weight(r)).numbers()[0]).sum::<f64>()
-            };
+            let of =
+                |r: &Vec<isize>, q: &[Number; Q]| (0..Q).map(|k| (row[k] * q[k] * weight(r)).numbers()[0]).sum::<f64>();
             places.iter().zip(&monomials).map(|(r, q)| of(r, q)).collect()
         };
         let mut laplacian = vec![0.0; places.len()];

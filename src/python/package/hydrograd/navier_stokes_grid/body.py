@@ -20,16 +20,20 @@ PASSES = 1.5
 #: Flows around a cylinder are steady below this Reynolds number.
 STEADY = 40.0
 #: Spacing of the surface and near it, in diameters, and how coarse particles become far away.
-SURFACE, NEAR, FAR = 0.05, 0.2, 3.0
+SURFACE, NEAR, FAR = 0.05, 0.2, 2.0
 
 Array = npt.NDArray[np.float64]
 
 
 @lru_cache(maxsize=8)
 def _scene(viscosity: float, size: float, center: tuple[float, float], radius: float, count: int, speed: float) -> hydrograd.Scene:
-    # Between its entries a profile is linear; behind the last one it is constant.
-    hats = [f"p{k}*max(1 - abs({count / size!r}*y - {k}), 0)" for k in range(count - 1)]
-    last = f"p{count - 1}*max(min({count / size!r}*y - {count - 2}, 1), 0)"
+    # Cubic B-splines at the entries: waves that particles at the inflow could not tell apart are left out, which viscosity would end after
+    # a few spacings. Behind the ends the profile goes on as it is there.
+    def spline(k: int) -> str:
+        away = f"abs({count / size!r}*y - {k})" if k >= 0 else f"abs({count / size!r}*y + {-k})"
+        return f"(max(2 - {away}, 0)^3 - 4*max(1 - {away}, 0)^3)/6"
+
+    terms = [f"p{min(max(k, 0), count - 1)}*{spline(k)}" for k in range(-1, count + 2)]
     parameters = [f"shapes[1].parameters[{k}]" for k in range(count)]
     return hydrograd.Scene(
         {
@@ -49,7 +53,7 @@ def _scene(viscosity: float, size: float, center: tuple[float, float], radius: f
                     "kind": "box",
                     "lower": [-size, -size],
                     "upper": [0.0, 2 * size],
-                    "velocity": [" + ".join([*hats, last]), 0],
+                    "velocity": [" + ".join(terms), 0],
                     "parameters": [speed] * count,
                 },
             ],
@@ -62,8 +66,14 @@ def _refused(problem: str, allowed: str) -> ValueError:
     return ValueError(f"{problem}\n  allowed: {allowed}")
 
 
-def flow(inputs: Any, gradient: bool) -> tuple[hydrograd.Steady, Any]:
-    """The steady flow, and its velocity at the points of v0."""
+@lru_cache(maxsize=2)
+def _steady(key: tuple[Any, ...], profile: tuple[float, ...]) -> hydrograd.Steady:
+    """The steady flow with its gradient, which costs little more: whoever asks for the drag asks for its derivative next."""
+    return _scene(*key).steady(profile)
+
+
+def flow(inputs: Any) -> tuple[hydrograd.Steady, Any]:
+    """The steady flow, and a function that gives its velocity at the points of v0."""
     body, profile = inputs.obstacle, inputs.inflow_profile
     size, viscosity = float(inputs.domain_extent), float(np.asarray(inputs.viscosity)[0])
     if body.shape != "cylinder" or body.radius is None:
@@ -87,8 +97,8 @@ def flow(inputs: Any, gradient: bool) -> tuple[hydrograd.Steady, Any]:
     center = (size * body.center[0], size * body.center[1])
     # One scene for all profiles of about this speed.
     scale = float(2 ** np.round(np.log2(speed)))
-    steady = _scene(viscosity, size, center, radius, len(numbers), scale).steady(numbers, gradient=gradient)
-    return steady, None if gradient else _on_grid(steady, np.shape(inputs.v0), size, center, radius)
+    steady = _steady((viscosity, size, center, radius, len(numbers), scale), tuple(numbers.tolist()))
+    return steady, lambda: _on_grid(steady, np.shape(inputs.v0), size, center, radius)
 
 
 def _on_grid(steady: hydrograd.Steady, shape: tuple[int, ...], size: float, center: tuple[float, float], radius: float) -> Any:
@@ -121,7 +131,7 @@ def cotangents(inputs: Any, wanted: set[str], by_outputs: Mapping[str, Any]) -> 
     if "v0" in wanted:
         found["v0"] = np.zeros(np.shape(inputs.v0), np.float32)
     if "inflow_profile" in wanted:
-        gradient: Any = flow(inputs, gradient=True)[0].gradient if by_drag is not None else 0.0
+        gradient: Any = flow(inputs)[0].gradient if by_drag is not None else 0.0
         weight = 0.0 if by_drag is None else float(np.asarray(by_drag).reshape(()))
         found["inflow_profile"] = np.broadcast_to(weight * gradient, np.shape(inputs.inflow_profile)).astype(np.float32)
     return found

@@ -112,8 +112,8 @@ def _flow(inputs: InputSchema) -> hydrograd.Flow:
 def apply(inputs: InputSchema) -> OutputSchema:
     """The velocity after ``steps * dt``, and the drag of a body."""
     if inputs.obstacle is not None:
-        steady, velocity = body.flow(inputs, gradient=False)
-        return OutputSchema(result=velocity, drag=np.array([steady.objective], np.float32))
+        steady, velocity = body.flow(inputs)
+        return OutputSchema(result=velocity(), drag=np.array([steady.objective], np.float32))
     flow = _flow(inputs)
     return OutputSchema(result=flow.velocity.reshape(np.shape(inputs.v0)).astype(np.float32))
 
