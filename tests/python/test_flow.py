@@ -117,3 +117,49 @@ def test_it_is_a_tesseract():
     ]:
         with pytest.raises(Exception, match=message):
             tesseract.apply({**inputs, **more})
+
+
+def around(profile, **more):
+    face = {"type": "no_slip"}
+    return {
+        "v0": np.full((32, 32, 1, 2), 0.5, np.float32),
+        "viscosity": np.float32([0.0025]),
+        "dt": np.float32([0.02]),
+        "steps": 200,
+        "domain_extent": 1.0,
+        "boundary_conditions": {"y_lo": face, "y_hi": face},
+        "obstacle": {"shape": "cylinder", "center": [0.5, 0.5], "radius": 0.05},
+        "inflow_profile": profile.astype(np.float32),
+        **more,
+    }
+
+
+def test_a_body_has_a_drag_and_its_gradient():
+    path = api()
+    from tesseract_core import Tesseract
+
+    tesseract = Tesseract.from_tesseract_api(path)
+    flat = np.full(32, 0.5)
+    found = tesseract.apply(around(flat))
+    # Finite volumes on 256 x 256 cells (Mosaic's task drag_opt): 0.0346.
+    drag = float(np.asarray(found["drag"])[0])
+    assert abs(drag / 0.0346 - 1) < 0.03
+    result = np.asarray(found["result"])
+    assert not result[16, 16].any() and abs(result[3, 16, 0, 0] - 0.5) < 0.1 and abs(result[10, 0, 0, 0]) < 0.05
+    back = tesseract.vector_jacobian_product(around(flat), ["inflow_profile", "v0"], ["drag"], {"drag": np.float32([1.0])})
+    gradient = np.asarray(back["inflow_profile"], dtype=float)
+    assert not np.asarray(back["v0"]).any() and gradient[12:20].min() > 2 * np.abs(gradient[:8]).max()
+    way = np.cos(np.arange(32.0) / 3)
+    ends = [float(np.asarray(tesseract.apply(around(flat + h * way))["drag"])[0]) for h in (0.02, -0.02)]
+    np.testing.assert_allclose((ends[0] - ends[1]) / 0.04, gradient @ way, rtol=2e-3)
+    for more, message in [
+        ({"inflow_profile": None}, "without an inflow_profile"),
+        ({"steps": 20}, "to pass the box"),
+        ({"viscosity": np.float32([0.0005])}, "Reynolds number of 100"),
+        ({"boundary_conditions": {}}, "y_lo"),
+        ({"obstacle": {"shape": "box", "half_widths": [0.1, 0.1]}}, "a cylinder with a radius"),
+    ]:
+        with pytest.raises(Exception, match=message):
+            tesseract.apply(around(flat, **more))
+    with pytest.raises(Exception, match="derivative of result"):
+        tesseract.vector_jacobian_product(around(flat), ["inflow_profile"], ["result"], {"result": np.ones_like(result)})
