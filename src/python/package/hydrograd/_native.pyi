@@ -9,6 +9,7 @@ _Path = Union[str, PathLike[str]]
 
 __all__ = [
     "Diverged",
+    "Flow",
     "Scene",
     "__version__",
     "command_line",
