@@ -47,3 +47,34 @@ def test_it_is_a_tesseract(scene, tmp_path: Path):
     assert float(tesseract.apply(inputs)["q"]) == q
     back = tesseract.vector_jacobian_product(inputs, ["design"], ["q"], {"q": np.float64(2.0)})
     np.testing.assert_array_equal(back["design"], 2.0 * gradient)
+
+
+CHANNEL = """
+scene = "custom"
+method.name = "fixed"
+region = { size = [0.6, 0.4], acceleration = [1.0, 0.0] }
+resolution = { dx = 0.04 }
+objective = { kind = "drag" }
+[[shapes]]
+kind = "disc"
+centre = [0.25, 0.2]
+radius = 0.06
+[[variables]]
+number = "shapes[0].radius"
+lower = 0.05
+upper = 0.08
+"""
+
+
+def test_scenes_of_ones_own_and_all_figures(tmp_path):
+    own = tmp_path / "own.toml"
+    own.write_text(CHANNEL)
+    inputs = {"scene": str(own), "figures": True}
+    found = hydrograd.tesseract.apply(inputs)
+    assert found["figures"]["flow_rate"] > 0 and abs(found["figures"]["shapes"][0]["force"][0] - found["q"]) < 1e-12
+    back = hydrograd.tesseract.vjp({**inputs, "design": [0.06]}, {"design"}, {"q"}, {"q": 2.0})
+    ends = [float(hydrograd.tesseract.apply({**inputs, "design": [0.06 + h]})["q"]) for h in (1e-4, -1e-4)]
+    np.testing.assert_allclose(back["design"], [2 * (ends[0] - ends[1]) / 2e-4], rtol=1e-4)
+    moving = {"scene": "heated-channel", "figures": True, "settings": {"resolution.dx": 0.025, "time.end": 0.2, "objective.window": 0.1}}
+    found = hydrograd.tesseract.apply(moving)
+    assert found["figures"]["flow_rate"] > 0 and found["q"] > 0
