@@ -105,6 +105,23 @@ fn its_gradient_is_exact() {
     let text = std::fs::read_to_string(at.join("checked/gradient_check.json")).unwrap();
     let found: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert!(found["worst_relative_error"].as_f64().unwrap() < 1e-8 && found["gradient_norm"].as_f64().unwrap() > 1e-3);
+    // In three dimensions, by fits.
+    let sets = [
+        "region.size=[1.0,0.75,0.875]",
+        "region.periodic=[true,true,true]",
+        "region.acceleration=[0.1,0.0,-0.5]",
+        "initial.velocity=['sin(2*PI*x)','cos(2*PI*x)',0.2]",
+        "initial.temperature=1 + 0.2*sin(2*PI*x)",
+        "method.derivatives=fits",
+        "output.grid=[4,4,4]",
+        "time.end=0.2",
+    ];
+    let mut arguments = vec!["check-gradient", "box.toml", "--out", "three"];
+    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    assert!(succeeds(at, &arguments).contains("336 fixed particles"));
+    (arguments[0], arguments[3]) = ("simulate", "flow");
+    succeeds(at, &arguments);
+    assert_eq!(dataset(&at.join("flow/grid.h5"), "velocity").0, [4, 4, 4, 3]);
 }
 
 #[test]

@@ -17,7 +17,7 @@ from types import ModuleType
 from ._native import Diverged, __version__, set_threads
 from .flow import Flow, FlowGradient, periodic_flow
 from .learned import Prediction, Rollout, Trajectory, read_trajectory, rollout
-from .scene import Frames, Optimisation, Run, Scene, Steady, presets, scenes
+from .scene import Frames, Optimisation, Run, Scene, Steady, Unsteady, presets, scenes
 
 __all__ = [
     "Diverged",
@@ -30,6 +30,7 @@ __all__ = [
     "Run",
     "Scene",
     "Steady",
+    "Unsteady",
     "Trajectory",
     "__version__",
     "periodic_flow",

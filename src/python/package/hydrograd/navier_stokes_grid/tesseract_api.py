@@ -3,8 +3,8 @@
 In a periodic box: fixed particles on the grid's own points, exact derivatives of all modes, steps in time chosen by their error; see
 :func:`hydrograd.periodic_flow`. Nothing is compiled: every N, viscosity and number of steps runs at once.
 
-Around a body, see ``body.py``: a cylinder between walls behind an ``inflow_profile``, its **steady** flow. It is refused where the flow is
-not steady by then, or would not be.
+Around a body, see ``body.py``: a cylinder between walls behind an ``inflow_profile``, its **steady** flow where a run is long enough, and
+else the flow in time.
 
     Tesseract.from_tesseract_api(hydrograd.navier_stokes_grid.tesseract_api.__file__)      # without docker
 """
