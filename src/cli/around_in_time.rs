@@ -58,12 +58,12 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     }
     let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     fields.write(folder, config, &loaded.text)?;
-    around.write_grid(folder, &last, end)?;
     let heat = files::plot_flow_and_heat(folder, &[("end", &fields)], config.resolution.dx)?;
     write_history(folder, &history)?;
     let from = around.window();
     let record = record(loaded, &around, &history, from, speed, seconds);
     files::write_summary(folder, &record)?;
+    around.write_grid(folder, &last, end)?;
     let (least, most) = history.sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
     println!(
         "{} fixed particles, {} steps of {least:.2e} to {most:.2e} in {seconds:.2} s on {} ({:.2} ms a step)",
