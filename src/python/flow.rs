@@ -130,10 +130,14 @@ impl Flow {
             ));
         }
         let mut by_fields = components(&numbers(&velocity), d);
-        if equations.fields() > d {
-            let zero = || vec![0.0; equations.transform.points()];
-            let given = temperature.as_ref().map(numbers).filter(|given| given.len() == equations.transform.points());
-            by_fields.push(given.unwrap_or_else(zero));
+        match (&temperature, equations.fields() > d) {
+            (Some(given), true) if given.shape() == shape => by_fields.push(numbers(given)),
+            (None, true) => by_fields.push(vec![0.0; equations.transform.points()]),
+            (None, false) => {}
+            (Some(given), _) => {
+                let problem = format!("temperature of shape {:?}", given.shape());
+                return Err(bad(problem, "that of the flow's temperature, and none without heat"));
+            }
         }
         let found = watched(py, None, |_| Ok(self.flow.gradient(&self.gone, &by_fields)?))?;
         let all = PyDict::new(py);

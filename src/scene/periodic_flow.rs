@@ -86,7 +86,10 @@ impl PeriodicFlow {
         let warmth = fields.get(d).map_or(0.0, |t| deviation(t));
         let lift = buoyancy.as_ref().map_or(0.0, |buoyancy| norm(&buoyancy.by) * warmth);
         let speed = fields[..d].iter().map(square).sum::<f64>().sqrt();
-        let velocity = speed + end * (norm(force) + lift);
+        // Over the time, or a fall through the box.
+        let length = self.equations.dx * self.equations.transform.shape.iter().copied().max().unwrap_or(1) as f64;
+        let made = |acceleration: f64| (end * acceleration).min((2.0 * acceleration * length).sqrt());
+        let velocity = speed + made(norm(force) + lift);
         let or_one = |x: f64| if x > 0.0 { x } else { 1.0 };
         (or_one(velocity), or_one(warmth))
     }

@@ -87,6 +87,9 @@ def test_wrong_input_is_refused():
     for field, more, message in wrong:
         with pytest.raises(ValueError, match=message.replace("[", r"\[").replace("]", r"\]")):
             hydrograd.periodic_flow(field, **{"viscosity": 0.01, "time": 0.1, **more})
+    flow = hydrograd.periodic_flow(start, viscosity=0.01, time=0.1)
+    with pytest.raises(ValueError, match="none without heat"):
+        flow.vjp(start, temperature=start[..., 0])
     with pytest.raises(ValueError, match="that of the flow"):
         hydrograd.periodic_flow(start, viscosity=0.01, time=0.1).vjp(start[1:])
 
@@ -166,6 +169,6 @@ def test_a_body_has_a_drag_and_its_gradient():
     # A run that is too short to become steady: the mean of its last half.
     short = [tesseract.apply(around(flat + h * way, steps=10)) for h in (0.0, 0.02, -0.02)]
     ends = [float(np.asarray(run["drag"])[0]) for run in short]
-    assert ends[0] > 1.2 * drag
+    assert 1.1 * drag < ends[0] < 1.4 * drag
     back = tesseract.vector_jacobian_product(around(flat, steps=10), ["inflow_profile"], ["drag"], {"drag": np.float32([1.0])})
     np.testing.assert_allclose((ends[1] - ends[2]) / 0.04, np.asarray(back["inflow_profile"], dtype=float) @ way, rtol=5e-3)
