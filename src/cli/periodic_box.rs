@@ -19,7 +19,7 @@ use crate::scene::periodic_box::{Moment, PeriodicBox};
 use crate::scene::periodic_flow::Gradient;
 use crate::scene::record::Record;
 use crate::sph::lattice::equations::{Equations, State};
-use crate::sph::lattice::march::repeat;
+use crate::sph::lattice::march::{largest_step, repeat, Level};
 use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
@@ -115,23 +115,45 @@ fn write_history(folder: &Path, moments: &[Moment]) -> anyhow::Result<()> {
     Ok(write_table(&folder.join("history.csv"), &header, &moments.iter().map(row).collect::<Vec<_>>())?)
 }
 
-/// `hydrograd scenes check`.
-pub fn check(loaded: &Loaded) -> anyhow::Result<()> {
+/// `hydrograd scenes check`: particles, and what they cost.
+pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let config = &loaded.config;
     let own_box = PeriodicBox::new(config)?;
-    let (shape, end) = (&own_box.flow.equations.transform.shape, config.time.end);
+    let _own = RunFolder::take(folder, "scenes check", Earlier::Replaced)?;
+    let equations = &own_box.flow.equations;
+    let (shape, end) = (&equations.transform.shape, config.time.end);
+    let first = equations.state(&own_box.fields);
+    let fields = own_box.particle_fields(0.0, 0, &first);
+    let speed = Level::new(equations, first.clone()).speed.max(config.fluid.reference_velocity);
+    let step = config.time.step.unwrap_or_else(|| largest_step(equations, speed)).min(end);
+    let steps = (end / step).ceil().max(config.output.frames as f64);
+    let clock = Instant::now();
+    repeat(equations, first, &[step; TRIED]);
+    let seconds = clock.elapsed().as_secs_f64() / TRIED as f64 * steps;
+    let (label, values) = match &fields.temperature {
+        Some(temperature) => (files::TEMPERATURE, temperature.clone()),
+        None => (files::SPEED, files::speeds(&fields)),
+    };
+    files::plot_scene(folder, ("particles", label), &[("start", &fields)], &[values], config.resolution.dx)?;
     println!("{}: scene custom, {} dimensions, dx {}", loaded.source, shape.len(), config.resolution.dx);
     println!("particles           {} on a periodic lattice {shape:?}", own_box.particles());
     println!("method              fixed: a flow in time to t = {end}, whose steps are chosen on the way");
+    println!("run time            {seconds:.2} s in about {steps} steps, which may be more for method.tolerance");
+    println!("picture             {}", folder.join("particles.png").display());
     machine::answer(&json!({
         "scene": config.scene,
         "dimensions": shape.len(),
         "dx": config.resolution.dx,
         "particles": { "all": own_box.particles(), "kinds": { "fluid": own_box.particles() } },
+        "expected_seconds": seconds,
         "warnings": [],
+        "files": machine::paths_in(folder, ["particles.png", "particles.svg"]),
     }));
     Ok(())
 }
+
+/// Steps that the check of a scene takes.
+const TRIED: usize = 3;
 
 /// Largest error of a derivative along a direction, relative to the lengths of gradient and direction.
 const TOLERANCE: f64 = 1e-7;

@@ -99,7 +99,7 @@ fn check(common: &CommonArguments) -> anyhow::Result<()> {
     use_threads(loaded.config.run.threads);
     open_device(&loaded)?;
     if loaded.config.is_periodic_box() {
-        return periodic_box::check(&loaded);
+        return periodic_box::check(&loaded, &folder);
     }
     if loaded.config.is_around_shapes() {
         return around_shapes::check(&loaded, &folder);

@@ -134,6 +134,11 @@ fn error(equations: &Equations, control: &Control, size: f64, last: &[Spectrum],
     of(&left[..d], control.velocity).max(heat) / control.tolerance
 }
 
+/// The largest step by how far the fluid goes, given the largest sum over directions of the speed at a particle.
+pub fn largest_step(equations: &Equations, speed: f64) -> f64 {
+    COURANT * equations.dx / speed.max(f64::MIN_POSITIVE)
+}
+
 /// The state after steps of given sizes.
 pub fn repeat(equations: &Equations, first: State, sizes: &[f64]) -> State {
     let (mut level, mut decay) = (Level::new(equations, first), Decay::new(equations, 0.0));
@@ -160,7 +165,7 @@ pub fn run<E: From<Diverged>>(
     let (mut time, mut sizes, mut refused) = (0.0, vec![], 0);
     let mut level = Level::new(equations, first);
     let number_of = |most: f64| ((end / most).ln() / RATIO.ln()).ceil().max(0.0) as i32;
-    let courant = |speed: f64| COURANT * equations.dx / speed.max(f64::MIN_POSITIVE);
+    let courant = |speed: f64| largest_step(equations, speed);
     let mut number = number_of(courant(level.speed));
     // The size, and how many steps of it are left to the next stop.
     let mut plan: Option<(f64, usize)> = None;
