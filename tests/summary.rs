@@ -48,8 +48,19 @@ lower = 0.05
 upper = 0.08
 "#;
 
+/// Warm vortices in a periodic box.
+const PERIODIC: &str = r#"
+scene = "custom"
+method = { name = "fixed", flow = "unsteady" }
+region = { size = [1.0, 1.0], periodic = [true, true], acceleration = [0.0, 0.0] }
+resolution = { dx = 0.1 }
+initial = { velocity = ["sin(2*PI*y)", 0], temperature = "1 + x*(1 - x)" }
+time = { end = 0.2 }
+"#;
+
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 24] = [
+const RUNS: [(&str, &str); 25] = [
+    ("periodic", "simulate periodic.toml"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.window=0.02"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.periods=2 --set objective.period=0.01"),
     ("timed", "optimize steady.toml --epochs 2 --set method.flow=unsteady --set time.end=0.05 --set objective.periods=2 --set objective.period=0.01"),
@@ -87,6 +98,7 @@ fn runs_have_the_fields_of_the_page() {
     let at = folder.path();
     std::fs::write(at.join("pin.toml"), PIN).unwrap();
     std::fs::write(at.join("steady.toml"), STEADY).unwrap();
+    std::fs::write(at.join("periodic.toml"), PERIODIC).unwrap();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models").display().to_string();
     let mut written: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     let mut read = |kind: &'static str, command: &str, out: &str| {

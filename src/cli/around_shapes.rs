@@ -162,6 +162,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     files::write_config(folder, loaded)?;
     let end = around.fields(&solution);
     end.write(folder, &loaded.config, &loaded.text)?;
+    around.write_grid(folder, &solution, 0.0)?;
     let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
     end.with_frame(|frame| series.write(frame))?;
     let heat = files::plot_maps(folder, &[("steady", &around.map(&solution))], false)?;

@@ -4,6 +4,7 @@ use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::{around_bodies, around_shapes};
 use super::files::{self, write_json};
 use super::page;
+use super::periodic_box;
 use super::prepare::{build, open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::check::{check, cosine, Direction};
@@ -51,9 +52,13 @@ pub struct CheckGradientArguments {
 
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
-        self.common.require_design()?;
         // Flows around shapes, steady or in time, are checked as they are: over their own time and window.
         let own = self.common.load(None, vec![], self.gradient.settings());
+        // A periodic box is differentiated by its start.
+        if own.as_ref().is_ok_and(|own| own.config.is_periodic_box()) {
+            return own;
+        }
+        self.common.require_design()?;
         if own.as_ref().is_ok_and(|own| own.config.is_around_shapes()) {
             return own;
         }
@@ -83,6 +88,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     if loaded.config.is_around_bodies() {
         return around_bodies::check_gradient(&loaded, &folder);
+    }
+    if loaded.config.is_periodic_box() {
+        return periodic_box::check_gradient(&loaded, &folder, arguments.directions);
     }
     if loaded.config.is_around_shapes() {
         return around_shapes::check_gradient(&loaded, &folder);

@@ -25,6 +25,7 @@ mod optimize_report;
 mod optimize_search;
 mod optimize_starts;
 pub mod page;
+mod periodic_box;
 pub(crate) mod prepare;
 pub mod program;
 mod recover;

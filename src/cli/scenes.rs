@@ -4,6 +4,7 @@ use super::arguments::{check_preset, CommonArguments};
 use super::{around_bodies, around_shapes};
 use super::files;
 use super::machine;
+use super::periodic_box;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
 use crate::adjoint::Dynamics;
@@ -99,6 +100,9 @@ fn check(common: &CommonArguments) -> anyhow::Result<()> {
     open_device(&loaded)?;
     if loaded.config.is_around_bodies() {
         return around_bodies::check(&loaded, &folder);
+    }
+    if loaded.config.is_periodic_box() {
+        return periodic_box::check(&loaded, &folder);
     }
     if loaded.config.is_around_shapes() {
         return around_shapes::check(&loaded, &folder);

@@ -8,7 +8,7 @@ use super::page;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
-use super::{around_bodies, around_in_time, around_shapes};
+use super::{around_bodies, around_in_time, around_shapes, periodic_box};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::{Dynamics, RunError};
 use crate::config::layers::Setting;
@@ -109,6 +109,9 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     if loaded.config.is_around_shapes() {
         if loaded.config.unsteady().is_some() {
             interrupt::listen("hydrograd simulate".to_string())?;
+            if loaded.config.is_periodic_box() {
+                return periodic_box::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
+            }
             return around_in_time::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
         }
         // It is found anew in a moment.

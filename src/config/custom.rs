@@ -95,6 +95,9 @@ pub struct Fields {
     /// None at the start: the scene has no heat; none in the exact solution: unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature: Option<Formula>,
+    /// At the start: a file with the velocity of each particle of a periodic box instead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
 }
 
 /// A region and what fills it. Of overlapping shapes the last one counts.

@@ -21,9 +21,14 @@ literal_matcher_from_pattern!(Literal, r"^([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0
 /// How a formula is read, given its key in messages and the number of dimensions.
 pub type ReadFormula = fn(&Formula, &str, usize) -> Result<Function, BadInput>;
 
-/// The names of a shape's parameters, behind those of place and time.
-const PARAMETERS: [(usize, &str); 8] =
-    [(4, "p0"), (5, "p1"), (6, "p2"), (7, "p3"), (8, "p4"), (9, "p5"), (10, "p6"), (11, "p7")];
+/// The largest number of a shape's parameters, p0, p1, ..., behind the variables of place and time.
+const PARAMETERS: usize = 1024;
+
+/// The variable of a parameter's name.
+fn parameter(name: &str) -> Option<usize> {
+    let number: usize = name.strip_prefix('p')?.parse().ok()?;
+    (number < PARAMETERS).then_some(4 + number)
+}
 
 type Expression = FlatEx<f64, FloatOpsFactory<f64>, Literal>;
 
@@ -45,7 +50,7 @@ impl Formula {
     /// # Errors
     /// An invalid expression, or one with other variables than x, y, z (z only in three dimensions).
     pub fn function(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        self.read(key, place(dimension).collect(), &format!("a place in {dimension} dimensions"))
+        self.read(key, place(dimension).collect(), false, &format!("a place in {dimension} dimensions"))
     }
 
     /// Reads an expression of the place and of the time t.
@@ -53,30 +58,40 @@ impl Formula {
         self.read(
             key,
             place(dimension).chain([(3, "t")]).collect(),
+            false,
             &format!("a place in {dimension} dimensions and a time"),
         )
     }
 
     /// Reads an expression of the place and of the parameters of a shape.
     pub fn function_of_parameters(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        self.read(key, place(dimension).chain(PARAMETERS).collect(), &format!("a place in {dimension} dimensions"))
+        self.read(key, place(dimension).collect(), true, &format!("a place in {dimension} dimensions"))
     }
 
     /// Reads an expression of the place, of the time and of the parameters of a shape.
     pub fn function_of_all(&self, key: &str, dimension: usize) -> Result<Function, BadInput> {
-        let names = place(dimension).chain([(3, "t")]).chain(PARAMETERS).collect();
-        self.read(key, names, &format!("a place in {dimension} dimensions and a time"))
+        let names = place(dimension).chain([(3, "t")]).collect();
+        self.read(key, names, true, &format!("a place in {dimension} dimensions and a time"))
     }
 
     /// Reads an expression of the parameters of a shape alone.
     pub fn function_of_numbers(&self, key: &str) -> Result<Function, BadInput> {
-        self.read(key, PARAMETERS.to_vec(), "a number")
+        self.read(key, vec![], true, "a number")
     }
 
-    fn read(&self, key: &str, names: Vec<(usize, &str)>, what: &str) -> Result<Function, BadInput> {
+    fn read(
+        &self,
+        key: &str,
+        names: Vec<(usize, &str)>,
+        has_parameters: bool,
+        what: &str,
+    ) -> Result<Function, BadInput> {
         let bad = |problem: String| BadInput::at(key, format!("{key} = \"{}\": {problem}", self.0)).allowed(ALLOWED);
         let expression = Expression::parse(&self.0).map_err(|error| bad(error.to_string()))?;
-        let number = |name: &String| names.iter().find(|(_, known)| known == name).map(|(k, _)| *k).ok_or(name.clone());
+        let number = |name: &String| {
+            let known = names.iter().find(|(_, known)| known == name).map(|(k, _)| *k);
+            known.or(parameter(name).filter(|_| has_parameters)).ok_or(name.clone())
+        };
         let variables = expression.var_names().iter().map(number).collect::<Result<Vec<_>, _>>();
         let variables = variables.map_err(|name| {
             let mut known: Vec<&str> = names.iter().filter(|(k, _)| *k < 4).map(|(_, name)| *name).collect();

@@ -19,6 +19,9 @@ section! {
 section! {
     "output.": Output {
         frames: usize = 40, Within(0.0, 1e5);
+        /// Points of a grid along each axis.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        grid: Vec<usize> = vec![];
     }
 }
 

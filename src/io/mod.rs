@@ -3,7 +3,9 @@
 pub mod atomic;
 pub mod csv;
 mod error;
+pub mod grid_file;
 pub mod hdf5_file;
+pub mod npy;
 pub mod state_file;
 pub mod tensor_file;
 pub mod tensorboard;

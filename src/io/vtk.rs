@@ -163,11 +163,32 @@ fn write_poly_data(
     points: Block,
     (kind, cells, blocks): (&str, usize, [Block; 2]),
 ) -> Result<(), FileError> {
+    // Three numbers of eight bytes each.
+    let count = points.bytes.len() / 24;
+    let cells_of = |name: &str| if name == kind { cells } else { 0 };
+    let piece = format!(
+        "NumberOfPoints=\"{count}\" NumberOfVerts=\"{}\" NumberOfLines=\"0\" \
+         NumberOfStrips=\"0\" NumberOfPolys=\"{}\">",
+        cells_of("Verts"),
+        cells_of("Polys")
+    );
+    let sections = [("PointData", point_data), ("Points", vec![points]), (kind, blocks.into())];
+    write_sections(path, ("PolyData", ""), time, &piece, &sections)
+}
+
+/// A data set of a `kind` with attributes, of one piece with attributes.
+fn write_sections(
+    path: &Path,
+    (kind, attributes): (&str, &str),
+    time: Option<f64>,
+    piece: &str,
+    sections: &[(&str, Vec<Block>)],
+) -> Result<(), FileError> {
     let mut offset = 0;
-    let mut header = String::from(
+    let mut header = format!(
         "<?xml version=\"1.0\"?>\n\
-         <VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
-         <PolyData>\n",
+         <VTKFile type=\"{kind}\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
+         <{kind}{attributes}>\n",
     );
     if let Some(time) = time {
         // ParaView and PyVista read this name as the time of a single file.
@@ -177,18 +198,8 @@ fn write_poly_data(
              {time:?}</DataArray>\n</FieldData>\n"
         );
     }
-    // Three numbers of eight bytes each.
-    let count = points.bytes.len() / 24;
-    let cells_of = |name: &str| if name == kind { cells } else { 0 };
-    let _ = writeln!(
-        header,
-        "<Piece NumberOfPoints=\"{count}\" NumberOfVerts=\"{}\" NumberOfLines=\"0\" \
-         NumberOfStrips=\"0\" NumberOfPolys=\"{}\">",
-        cells_of("Verts"),
-        cells_of("Polys")
-    );
-    let sections = [("PointData", point_data), ("Points", vec![points]), (kind, blocks.into())];
-    for (name, blocks) in &sections {
+    let _ = writeln!(header, "<Piece {piece}>");
+    for (name, blocks) in sections {
         let _ = writeln!(header, "<{name}>");
         for block in blocks {
             let _ = writeln!(header, "<DataArray {} format=\"appended\" offset=\"{offset}\"/>", block.attributes);
@@ -196,7 +207,7 @@ fn write_poly_data(
         }
         let _ = writeln!(header, "</{name}>");
     }
-    header.push_str("</Piece>\n</PolyData>\n<AppendedData encoding=\"raw\">\n_");
+    let _ = write!(header, "</Piece>\n</{kind}>\n<AppendedData encoding=\"raw\">\n_");
 
     write_atomically(path, |writer| {
         writer.write_all(header.as_bytes())?;
@@ -206,6 +217,42 @@ fn write_poly_data(
         }
         writer.write_all(b"\n</AppendedData>\n</VTKFile>\n")
     })
+}
+
+/// Fields at the points i L / N of a box, in C order: the last axis is the fastest.
+pub struct Image<'a> {
+    /// N along each axis.
+    pub shape: &'a [usize],
+    /// L along each axis.
+    pub size: &'a [f64],
+    pub time: f64,
+    /// `[D][points]`.
+    pub velocity: &'a [Vec<f64>],
+    /// Name and values `[points]`.
+    pub scalars: &'a [(&'a str, &'a [f64])],
+}
+
+/// Writes fields on a grid as a `.vti` file, atomically.
+///
+/// # Errors
+/// System errors.
+pub fn write_image(path: &Path, image: &Image) -> Result<(), FileError> {
+    let d = image.shape.len();
+    let along = |a: usize| if a < d { image.shape[a] } else { 1 };
+    let [nx, ny, nz] = [along(0), along(1), along(2)];
+    // VTK wants x as the fastest.
+    let order = || (0..nx * ny * nz).map(|k| (k % nx * ny + k / nx % ny) * nz + k / (nx * ny));
+    let velocity = order().flat_map(|i| (0..3).map(move |a| if a < d { image.velocity[a][i] } else { 0.0 }));
+    let mut blocks = vec![Block::reals("velocity", 3, velocity, Precision::F64)];
+    for (name, values) in image.scalars {
+        blocks.push(Block::reals(name, 1, order().map(|i| values[i]), Precision::F64));
+    }
+    let spacing: Vec<String> =
+        (0..3).map(|a| format!("{:?}", if a < d { image.size[a] / along(a) as f64 } else { 1.0 })).collect();
+    let extent = format!("0 {} 0 {} 0 {}", nx - 1, ny - 1, nz - 1);
+    let attributes = format!(" WholeExtent=\"{extent}\" Origin=\"0 0 0\" Spacing=\"{}\"", spacing.join(" "));
+    let piece = format!("Extent=\"{extent}\"");
+    write_sections(path, ("ImageData", &attributes), Some(image.time), &piece, &[("PointData", blocks)])
 }
 
 /// A series of frames in a folder: `<name>_000000.vtp`, `<name>_000001.vtp`, ..., and `<name>.pvd`.

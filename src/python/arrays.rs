@@ -1,6 +1,6 @@
 //! Numbers as NumPy arrays, without a copy: the array takes the memory over.
 
-use numpy::ndarray::IntoDimension;
+use numpy::ndarray::{IntoDimension, IxDyn};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 
@@ -24,4 +24,9 @@ pub fn frames_of_columns<'py>(py: Python<'py>, values: Vec<f64>, t: usize, d: us
 /// An array of numbers that lie as it has them.
 pub fn shaped<T: Element>(py: Python<'_>, values: Vec<T>, shape: impl IntoDimension) -> PyResult<Bound<'_, PyAny>> {
     Ok(PyArray1::from_vec(py, values).reshape(shape)?.into_any())
+}
+
+/// The same of a shape whose number of dimensions is not known before.
+pub fn shaped_as<'py>(py: Python<'py>, values: Vec<f64>, shape: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    shaped(py, values, IxDyn(shape))
 }

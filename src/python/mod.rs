@@ -5,6 +5,7 @@
 
 mod arrays;
 mod errors;
+mod flow;
 mod parts;
 mod rollout;
 mod scene;
@@ -31,6 +32,8 @@ mod _native {
 
     #[pymodule_export]
     use super::errors::Diverged;
+    #[pymodule_export]
+    use super::flow::Flow;
     #[pymodule_export]
     use super::rollout::{read_trajectory, rollout};
     #[pymodule_export]

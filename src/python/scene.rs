@@ -4,7 +4,7 @@ use super::arrays::{shaped, vector};
 use super::errors::to_python;
 use super::parts::Parts;
 use super::simulate::simulate;
-use super::steady::steady;
+use super::steady::{steady, unsteady};
 use super::watch::watched;
 use crate::config::scene::{Config, Precision};
 use crate::design::optimise::Epoch;
@@ -123,6 +123,16 @@ impl Scene {
 
     fn steady<'py>(&self, py: Python<'py>, numbers: Option<Vec<f64>>, gradient: bool) -> PyResult<Bound<'py, PyDict>> {
         steady(py, of!(self, parts => &parts.loaded), numbers, gradient)
+    }
+
+    fn unsteady<'py>(
+        &self,
+        py: Python<'py>,
+        numbers: Option<Vec<f64>>,
+        gradient: bool,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        unsteady(py, of!(self, parts => &parts.loaded), numbers, gradient, progress.as_ref())
     }
 
     fn value_and_gradient<'py>(

@@ -340,6 +340,7 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
     }
     let mut layer = layer
         .change("design.file", |file| folder.join(file).to_string_lossy().into())
+        .change("initial.file", |file| folder.join(file).to_string_lossy().into())
         .change("surrogate.model", |file| folder.join(file).to_string_lossy().into());
     layer.change_value("shapes", |shapes| read_shapes(shapes, folder))?;
     let family = layer.string("scene").unwrap_or(SCENES[0].name);

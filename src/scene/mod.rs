@@ -6,6 +6,7 @@
 pub mod accuracy;
 pub mod around_bodies;
 pub mod around_flow;
+pub mod around_grid;
 pub mod around_in_time;
 pub mod around_shapes;
 pub mod assembly;
@@ -26,6 +27,8 @@ pub mod load;
 pub mod observers;
 pub mod particle_fields;
 pub mod periods;
+pub mod periodic_box;
+pub mod periodic_flow;
 pub mod plausible;
 pub mod record;
 pub mod shape_heat;

@@ -13,6 +13,7 @@ pub mod flow;
 pub mod interpolation;
 pub mod inventory;
 pub mod kernels;
+pub mod lattice;
 pub mod laws;
 pub mod masks;
 pub mod method;

@@ -4,6 +4,7 @@ use super::found::{Curve, Found, Progress};
 use crate::config::scene::Config;
 use crate::scene::around_in_time::{History, Moment};
 use crate::scene::around_shapes::AroundShapes;
+use crate::scene::periodic_box::PeriodicBox;
 use crate::sph::cloud::figures::Figure;
 
 /// A flow whose figures are known.
@@ -17,6 +18,8 @@ pub enum Benchmark {
     SchaeferTurek3,
     /// Cylinder in an open stream at a Reynolds number of 100.
     VortexStreet,
+    /// A flow in a periodic box without shapes, whose exact solution the configuration states.
+    PeriodicBox,
 }
 
 /// A figure that was found, the known one, and how much the error of this one counts.
@@ -45,6 +48,9 @@ impl Benchmark {
     /// # Errors
     /// A flow that is not found.
     pub fn take(self, config: &Config, progress: Progress) -> anyhow::Result<Done> {
+        if self == Self::PeriodicBox {
+            return periodic_box(config, progress);
+        }
         let mut around = AroundShapes::new(config)?;
         let particles = around.flow.cloud.particles();
         if config.unsteady().is_none() {
@@ -104,6 +110,19 @@ impl Benchmark {
         let curves = vec![Curve { name: "lift".into(), points: line }];
         Ok(Done { found: found(&compared, curves), particles, steps: history.sizes.len() })
     }
+}
+
+/// The error of the velocity at the end.
+fn periodic_box(config: &Config, progress: Progress) -> anyhow::Result<Done> {
+    let own_box = PeriodicBox::new(config)?;
+    let gone = own_box.run(0, &mut |moment, _| {
+        progress(moment.time / config.time.end);
+        Ok(())
+    })?;
+    let (particles, steps) = (own_box.particles(), gone.sizes.len());
+    let fields = own_box.particle_fields(config.time.end, steps, &gone.last);
+    let error = own_box.errors(&fields)?.0.unwrap_or(f64::NAN);
+    Ok(Done { found: Found { error, curves: vec![] }, particles, steps })
 }
 
 /// The objective some time after the first largest lift of a window.

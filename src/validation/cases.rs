@@ -47,6 +47,20 @@ const COLUMN: &[&str] = &[
     "fluid.reference_velocity=2",
 ];
 
+/// Vortices of Taylor and Green in a stream that carries them along, of fixed particles.
+const CARRIED: &[&str] = &[
+    "method.name=fixed",
+    "method.flow=unsteady",
+    "region.size=[1.0,1.0]",
+    "region.periodic=[true,true]",
+    "region.acceleration=[0.0,0.0]",
+    "fluid.viscosity=0.01",
+    "time.end=1.0",
+    "initial.velocity=['0.3 - cos(2*PI*x)*sin(2*PI*y)','sin(2*PI*x)*cos(2*PI*y)']",
+    "exact.velocity=['0.3 - exp(0 - 0.08*PI*PI*t)*cos(2*PI*(x - 0.3*t))*sin(2*PI*y)',\
+     'exp(0 - 0.08*PI*PI*t)*sin(2*PI*(x - 0.3*t))*cos(2*PI*y)']",
+];
+
 impl Case {
     fn new(name: &'static str, scene: &'static str, settings: &'static [&'static str]) -> Self {
         Self { name, quantity: "", reference: "", scene, settings, measure: Measure::Velocity, levels: vec![] }
@@ -139,6 +153,13 @@ pub fn all() -> Vec<Case> {
             .quick(&["resolution.dx=0.1"], 0.1)
             .full(&["resolution.dx=0.05"], 0.1)
             .full(&["resolution.dx=0.025"], 0.1),
+        Case::new("taylor-green-fixed", "custom", CARRIED)
+            .compares(Measure::Published(Benchmark::PeriodicBox), "velocity at t = 1 / first amplitude", TAYLOR_GREEN)
+            .quick(&["resolution.dx=0.0625"], 5e-7),
+        Case::new("taylor-green-fits", "custom", CARRIED)
+            .compares(Measure::Published(Benchmark::PeriodicBox), "velocity at t = 1 / first amplitude", TAYLOR_GREEN)
+            .quick(&["method.derivatives=fits", "resolution.dx=0.0625"], 5e-3)
+            .quick(&["method.derivatives=fits", "resolution.dx=0.03125"], 3.5e-4),
         Case::new("heated-channel", "heated-channel", &["time.end=3"])
             .compares(Measure::Outflow, "outflowing heat, flat wall", FEM)
             .quick(&["resolution.dx=0.02"], 2e-3)

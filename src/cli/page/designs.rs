@@ -367,7 +367,7 @@ fn said(config: &Config, scene: &str, summary: &Record) -> (String, String) {
         });
         return (lead, remark);
     }
-    if config.is_around_shapes() {
+    if config.is_around_shapes() && !config.is_periodic_box() {
         let figure = |key: &str, name: &str| number(key).map(|x| format!("{name} {}", short(x)));
         let all = [
             figure("flow_rate", "flow rate"),

@@ -38,10 +38,11 @@ impl Config {
         if region.acceleration.iter().any(|x| !x.is_finite()) {
             return Err(bad("region.acceleration", format!("{:?}", region.acceleration)).allowed("finite numbers"));
         }
-        if !self.is_around_shapes() {
+        if !self.is_around_shapes() || self.is_periodic_box() {
             self.check_cells()?;
         }
         let has_heat = initial.temperature.is_some();
+        self.check_files_and_grid()?;
         initial.at_start(d)?;
         if self.fluid.expansion != 0.0 && !has_heat {
             return Err(BadInput::at("fluid.expansion", "fluid.expansion in a scene without heat")
@@ -87,9 +88,44 @@ impl Config {
         self.scene == Family::Custom && !self.method.facts().moves
     }
 
-    /// The same in three dimensions.
+    /// The same in three dimensions, with bodies or walls.
     pub fn is_around_bodies(&self) -> bool {
-        self.is_around_shapes() && self.region.size.len() == 3
+        self.is_around_shapes() && self.region.size.len() == 3 && !self.is_periodic_box()
+    }
+
+    /// Whether particles are fixed on the lattice of a box that is periodic in all directions, without shapes, and the flow
+    /// goes on in time.
+    pub fn is_periodic_box(&self) -> bool {
+        self.unsteady().is_some() && self.shapes.is_empty() && !self.region.periodic.contains(&false)
+    }
+
+    /// Checks what is read and written on grids.
+    fn check_files_and_grid(&self) -> Result<(), BadInput> {
+        const NEEDS: &str = "with method.name = fixed, method.flow = unsteady, and a box that is periodic along all axes, without shapes";
+        let bad = |key: &str, problem: &str| BadInput::at(key, format!("{key} {problem}"));
+        if self.initial.file.is_some() {
+            if !self.is_periodic_box() {
+                return Err(bad("initial.file", "in a scene without a lattice that stays").allowed(NEEDS));
+            }
+            if !self.initial.velocity.is_empty() {
+                return Err(bad("initial.file", "beside initial.velocity").allowed("one of both"));
+            }
+        }
+        let grid = &self.output.grid;
+        if grid.is_empty() {
+            return Ok(());
+        }
+        if !self.is_around_shapes() {
+            return Err(bad("output.grid", "of particles that move")
+                .allowed("with method.name = fixed")
+                .advice("method.name=fixed"));
+        }
+        let d = self.region.size.len();
+        if grid.len() != d || grid.iter().any(|n| !(1..=4096).contains(n)) || grid.iter().product::<usize>() > 1 << 28 {
+            return Err(bad("output.grid", &format!("= {grid:?}"))
+                .allowed(format!("{d} whole numbers, 1 ... 4096, at most 2^28 points in all")));
+        }
+        Ok(())
     }
 
     /// The keys of fixed particles of a flow that goes on in time, if it does.
@@ -179,7 +215,12 @@ impl Config {
     pub(super) fn check_around_shapes(&self) -> Result<(), BadInput> {
         let (region, d) = (&self.region, self.dimension());
         let bad = |key: &str, problem: String| BadInput::at(key, format!("{key} {problem}"));
-        if d == 3 {
+        if self.is_periodic_box() && self.fluid.drive != DriveName::BodyForce {
+            return Err(bad("fluid.drive", "that holds something in a box without walls".into())
+                .allowed("body-force")
+                .advice("fluid.drive=body-force"));
+        }
+        if d == 3 && !self.is_periodic_box() {
             self.check_around_bodies()?;
         }
         for (k, shape) in self.shapes.iter().enumerate() {

@@ -58,6 +58,8 @@ impl Schema for Config {
             Sides { left: side.clone(), right: side.clone(), bottom: side.clone(), top: side, back, front };
         (config.region.inlet_until, config.region.outlet_from) = (Some(0.0), Some(1.0));
         config.initial.temperature = Some(Formula("1 + x".into()));
+        config.initial.file = Some(String::new());
+        config.output.grid = vec![1];
         config.exact.temperature = Some(Formula("1 + x".into()));
         (config.fluid.expansion, config.fluid.reference_temperature) = (1.0, Some(1.0));
         (config.fluid.flow_rate, config.fluid.pumping_power) = (Some(1.0), Some(1.0));

@@ -23,8 +23,20 @@ section! {
     "method.": Fixed {
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);
         flow: FlowKind = FlowKind::Steady;
+        derivatives: Derivatives = Derivatives::Spectral;
         tolerance: f64 = 1e-3, Within(1e-9, 1.0);
     }
+}
+
+/// The derivatives of particles on the lattice of a periodic box.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Derivatives {
+    /// Of fits of fourth degree to the neighbours.
+    Fits,
+    /// Of all modes exactly.
+    #[default]
+    Spectral,
 }
 
 /// Whether a scene of one's own with fixed particles is steady, or goes on in time.

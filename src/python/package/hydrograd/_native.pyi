@@ -9,6 +9,7 @@ _Path = Union[str, PathLike[str]]
 
 __all__ = [
     "Diverged",
+    "Flow",
     "Scene",
     "__version__",
     "command_line",
@@ -46,6 +47,22 @@ def rollout(
 def read_trajectory(data: _Path, split: str, trajectory: Optional[str]) -> dict[str, Any]: ...
 
 @final
+class Flow:
+    def __new__(
+        cls,
+        velocity: _Array,
+        temperature: Optional[_Array],
+        size: list[float],
+        time: float,
+        numbers_of: list[float],
+        force: list[float],
+        buoyancy: Optional[tuple[list[float], float]],
+        fits: bool,
+    ) -> Flow: ...
+    def end(self) -> dict[str, Any]: ...
+    def vjp(self, velocity: _Array, temperature: Optional[_Array]) -> dict[str, Any]: ...
+
+@final
 class Scene:
     def __new__(cls, scene: str, preset: Optional[str], settings: list[str]) -> Scene: ...
     @property
@@ -65,6 +82,9 @@ class Scene:
     ) -> dict[str, Any]: ...
     def objective(self, design: _Array) -> float: ...
     def steady(self, numbers: Optional[_Array], gradient: bool) -> dict[str, Any]: ...
+    def unsteady(
+        self, numbers: Optional[_Array], gradient: bool, progress: Optional[Callable[..., object]]
+    ) -> dict[str, Any]: ...
     def value_and_gradient(
         self, design: _Array, progress: Optional[Callable[..., object]]
     ) -> tuple[float, _Array]: ...

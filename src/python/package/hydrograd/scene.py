@@ -144,6 +144,19 @@ class Steady:
     tag: npt.NDArray[np.uint8]
 
 
+@dataclass(frozen=True, eq=False)
+class Unsteady(Steady):
+    """A flow in time of fixed particles around shapes, at its end, see :meth:`Scene.unsteady`.
+
+    The objective, and figures, are means over the objective's window.
+
+    Attributes:
+        history: ``time``, and figures after each step, such as ``shapes[0].drag``.
+    """
+
+    history: dict[str, Array] = field(repr=False)
+
+
 class Scene:
     """A flow to simulate, and where it has walls to shape, to differentiate and to optimise.
 
@@ -300,6 +313,24 @@ class Scene:
         """
         found = self._native.steady(None if numbers is None else _numbers(numbers), bool(gradient))
         return Steady(**{**found, "figures": json.loads(found["figures"])})
+
+    def unsteady(
+        self, numbers: Optional[ArrayLike] = None, *, gradient: bool = True, progress: Optional[Progress] = None
+    ) -> Unsteady:
+        """The flow in time of a scene of one's own with ``method.name = "fixed"`` and ``method.flow = "unsteady"``, with the exact gradient
+        of the objective's mean along the steps that were taken.
+
+        Args:
+            numbers: ``[K]``, in the order and the units of the scene's ``variables``; the scene's own if None.
+            gradient: whether to take the objective's derivative by all of them: about three more runs.
+            progress: called with the share of the run that is done, and 1, at most ten times a second.
+
+        Raises:
+            ValueError: particles that move, a steady flow, or shapes that cannot be resolved.
+            Diverged: a flow that is not finite, or particles that fold.
+        """
+        found = self._native.unsteady(None if numbers is None else _numbers(numbers), bool(gradient), progress)
+        return Unsteady(**{**found, "figures": json.loads(found["figures"])})
 
     def objective(self, design: Optional[ArrayLike] = None) -> float:
         """The objective of a design, as ``hydrograd optimize`` judges it: where the scene allows, by fixed particles and their
