@@ -143,7 +143,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     write_history(folder, history)?;
     let record = record(loaded, &around, &run, seconds);
     files::write_summary(folder, &record)?;
-    around.write_grid(folder, &last, end)?;
+    around.write_grid(folder, &run.last, end)?;
     let (least, most) = history.sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
     println!(
         "{} fixed particles, {} steps of {least:.2e} to {most:.2e} in {seconds:.2} s on {} ({:.2} ms a step)",

@@ -305,6 +305,9 @@ impl Config {
         if self.fluid.expansion != 0.0 {
             return Err(bad("fluid.expansion", "with method.name = fixed").allowed(IN_PLANE));
         }
+        if !self.output.grid.is_empty() {
+            return Err(bad("output.grid", "with shapes").allowed(IN_PLANE));
+        }
         for (key, x) in [("resolution.far", self.resolution.far), ("resolution.growth", self.resolution.growth)] {
             if x.is_some() {
                 return Err(bad(key, "with method.name = fixed").allowed(IN_PLANE));
