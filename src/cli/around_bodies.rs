@@ -14,6 +14,7 @@ use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_bodies::AroundBodies;
+use crate::scene::around_flow::Designed;
 use crate::scene::around_shapes::{finer, Judged};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
@@ -153,7 +154,7 @@ pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let mut differences = vec![];
     for k in 0..first.len() {
         interrupt::check()?;
-        let step = match around.part(k) {
+        let step = match around.part(k).0 {
             Part::Angle => DEGREES,
             Part::Parameter(_) => 4e-3 * first[k].abs().max(1e-2),
             _ => STEP * surface,

@@ -1,6 +1,7 @@
 //! `optimize` with fixed particles around shapes: exact gradients of the steady flow, limits, particles placed anew.
 
 use super::around_in_time::{self, Run};
+use super::around_bodies;
 use super::around_shapes::{self, goal, print_figures};
 use super::files::{self, AFTER, BEFORE};
 use super::run_folder::{Earlier, RunFolder};
@@ -14,7 +15,9 @@ use crate::io::vtk::VtkSeries;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::scene::around_bodies::AroundBodies;
 use crate::scene::around_shapes::AroundShapes;
+use crate::scene::particle_fields::ParticleFields;
 use crate::scene::field_map::FieldMap;
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
@@ -75,33 +78,54 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     let seconds: f64 = history.iter().map(|epoch| epoch.seconds).sum();
     // Both again, with particles placed around them.
     let mut maps: Vec<FieldMap> = vec![];
+    let mut fields: Vec<ParticleFields> = vec![];
     let mut records: Vec<Record> = vec![];
     for (at, frames) in [(loaded, BEFORE), (&with_best, AFTER)] {
-        let mut around = AroundShapes::new(&at.config)?;
-        let (end, map) = if config.unsteady().is_some() {
+        let end = if config.is_around_bodies() {
+            let mut around = AroundBodies::new(&at.config)?;
+            let solution = around.solve(&around.first())?;
+            let figures = around.summary(&solution);
+            records.push(around_bodies::record(at, &around, &solution, &figures, seconds));
+            if frames == AFTER {
+                print_figures(config, &figures);
+            }
+            around.fields(&solution)
+        } else if config.unsteady().is_some() {
+            let around = AroundShapes::new(&at.config)?;
             let run = Run::take(&around, &mut |_, _| ())?;
             records.push(around_in_time::record(at, &around, &run, seconds));
             if frames == AFTER {
                 run.print(config, true);
             }
-            (run.fields(&around), around.map(&run.last))
+            maps.push(around.map(&run.last));
+            run.fields(&around)
         } else {
+            let mut around = AroundShapes::new(&at.config)?;
             let solution = around.solve(&around.first())?;
             let figures = around.summary(&solution);
             records.push(around_shapes::record(at, &around, &solution, &figures, seconds));
             if frames == AFTER {
                 print_figures(config, &figures);
             }
-            (around.fields(&solution), around.map(&solution))
+            maps.push(around.map(&solution));
+            around.fields(&solution)
         };
         let mut series = VtkSeries::new(&folder.join(frames), "particles")?;
         end.with_frame(|frame| series.write(frame))?;
         if frames == AFTER {
             end.write(folder, &at.config, &at.text)?;
         }
-        maps.push(map);
+        fields.push(end);
     }
-    let heat = files::plot_maps(folder, &[("before", &maps[0]), ("after", &maps[1])], config.unsteady().is_some())?;
+    let heat = match maps.as_slice() {
+        [before, after] => {
+            files::plot_maps(folder, &[("before", before), ("after", after)], config.unsteady().is_some())?
+        }
+        _ => {
+            let panels = [("before", &fields[0]), ("after", &fields[1])];
+            files::plot_flow_and_heat(folder, &panels, config.resolution.dx)?
+        }
+    };
     let (before, mut record) = (records.remove(0), records.remove(0));
     let (first, last) =
         (before.number("objective").unwrap_or(f64::NAN), record.number("objective").unwrap_or(f64::NAN));

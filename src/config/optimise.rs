@@ -64,6 +64,16 @@ pub enum Goal {
 }
 
 impl Goal {
+    /// 1 for an objective that is to become larger, -1 for one that is to become smaller.
+    pub fn sign(self) -> f64 {
+        match self {
+            Self::Larger => 1.0,
+            Self::Smaller => -1.0,
+        }
+    }
+}
+
+impl Goal {
     fn is_larger(&self) -> bool {
         *self == Self::Larger
     }

@@ -330,17 +330,6 @@ impl AroundBodies {
         Ok(Judged { value, by_variables })
     }
 
-    /// A typical length of a shape.
-    pub fn size(&self, shape: usize) -> f64 {
-        self.flow.cloud.ground.surfaces[shape].size()
-    }
-
-    /// The part of its shape that a variable is.
-    pub fn part(&self, variable: usize) -> Part {
-        let (shape, number) = self.wanted[variable];
-        self.flow.cloud.ground.surfaces[shape].parts[number]
-    }
-
     /// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
     pub fn has_objective(&self) -> bool {
         let objective = &self.config.objective;

@@ -1,10 +1,106 @@
-//! The flow around shapes, steady or in time, as a function of their numbers: objective and limits with their gradients.
+//! The flow around shapes, steady or in time, in two or three dimensions, as a function of their numbers: objective and limits with
+//! their gradients.
 
+use super::around_bodies::AroundBodies;
 use super::around_in_time::{History, Of};
 use super::around_shapes::{AroundShapes, Judged};
-use crate::config::scene::LimitEntry;
+use crate::config::custom::Part;
+use crate::config::scene::{Config, LimitEntry};
 use crate::error::Error;
 use crate::sph::cloud::problem::Solution;
+use std::f64::consts::PI;
+
+/// A flow as a function of the variables of its configuration.
+pub trait Designed {
+    /// The variables of the configuration.
+    fn first(&self) -> Vec<f64>;
+    /// The objective. `progress` gets the share of a flow in time that is done.
+    ///
+    /// # Errors
+    /// A flow that cannot be had.
+    fn value(&mut self, variables: &[f64], progress: &mut dyn FnMut(f64)) -> Result<f64, Error>;
+    /// The objective, and what each of `limits` is about, with their derivatives.
+    ///
+    /// # Errors
+    /// A flow or an adjoint that cannot be had.
+    fn judge(
+        &mut self,
+        variables: &[f64],
+        limits: &[usize],
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<(Judged, Vec<Judged>), Error>;
+    /// What a variable is, and a typical length of its shape.
+    fn part(&self, variable: usize) -> (Part, f64);
+}
+
+impl dyn Designed {
+    /// That of a configuration of fixed particles around shapes.
+    ///
+    /// # Errors
+    /// Shapes that cannot be resolved.
+    pub fn of_config(config: &Config) -> Result<Box<Self>, Error> {
+        Ok(match config.is_around_bodies() {
+            true => Box::new(AroundBodies::new(config)?),
+            false => Box::new(AroundShapes::new(config)?),
+        })
+    }
+}
+
+impl Designed for AroundShapes {
+    fn first(&self) -> Vec<f64> {
+        self.first()
+    }
+
+    fn value(&mut self, variables: &[f64], progress: &mut dyn FnMut(f64)) -> Result<f64, Error> {
+        let flow = self.flow(variables, None, progress)?;
+        self.objective_of(&flow, variables)
+    }
+
+    fn judge(
+        &mut self,
+        variables: &[f64],
+        limits: &[usize],
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<(Judged, Vec<Judged>), Error> {
+        let flow = self.flow(variables, None, progress)?;
+        let objective = self.judged(&flow, variables)?;
+        let limits = limits.iter().map(|&limit| self.judged_limit(&flow, variables, limit));
+        Ok((objective, limits.collect::<Result<_, _>>()?))
+    }
+
+    fn part(&self, variable: usize) -> (Part, f64) {
+        let ((shape, number), cloud) = (self.wanted[variable], &self.flow.cloud);
+        (cloud.ground.outlines[shape].parts[number], (cloud.places.polygons[shape].area() / PI).sqrt())
+    }
+}
+
+impl Designed for AroundBodies {
+    fn first(&self) -> Vec<f64> {
+        self.first()
+    }
+
+    fn value(&mut self, variables: &[f64], _: &mut dyn FnMut(f64)) -> Result<f64, Error> {
+        let solution = self.solve(variables)?;
+        Ok(self.objective(&solution).0)
+    }
+
+    fn judge(
+        &mut self,
+        variables: &[f64],
+        limits: &[usize],
+        _: &mut dyn FnMut(f64),
+    ) -> Result<(Judged, Vec<Judged>), Error> {
+        let solution = self.solve(variables)?;
+        let objective = self.judged(&solution)?;
+        let limits = limits.iter().map(|&limit| self.judged_limit(&solution, variables, limit));
+        Ok((objective, limits.collect::<Result<_, _>>()?))
+    }
+
+    fn part(&self, variable: usize) -> (Part, f64) {
+        let ((shape, number), ground) = (self.wanted[variable], &self.flow.cloud.ground);
+        (ground.surfaces[shape].parts[number], ground.surfaces[shape].size())
+    }
+}
 
 /// The flow for some variables.
 pub enum Flowed {

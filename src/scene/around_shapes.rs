@@ -4,7 +4,7 @@ use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
 use crate::config::custom::{Part, ShapeEntry, ShapeNumber, Side, SideKind};
 use crate::config::formula::Function;
-use crate::config::scene::{Asked, Config, DriveName, Goal, LimitEntry, ObjectiveKind, Term};
+use crate::config::scene::{Asked, Config, DriveName, LimitEntry, ObjectiveKind, Term};
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
@@ -352,14 +352,6 @@ impl AroundShapes {
         let objective = &self.config.objective;
         let is_told = objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty();
         is_told || self.config.initial.temperature.is_some()
-    }
-
-    /// 1 for an objective that is to become larger, -1 for one that is to become smaller.
-    pub fn sign(&self) -> f64 {
-        match self.config.objective.goal {
-            Goal::Larger => 1.0,
-            Goal::Smaller => -1.0,
-        }
     }
 
     /// The derivative of weighted figures by the variables.

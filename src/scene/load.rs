@@ -235,8 +235,12 @@ impl Loaded {
         let (facts, methods) = (self.config.method.facts(), self.config.scene.built_in().methods());
         let fixed = facts.counterpart.filter(|other| facts.moves && methods.contains(other));
         match (self.config.optimise.search, fixed) {
+            // In three dimensions fixed particles are those that are asked for.
+            (Search::Fixed, Some(_)) if self.config.scene == Family::Custom && self.config.dimension() == 3 => {
+                Ok(self.clone())
+            }
             (Search::Fixed, Some(fixed)) if self.config.scene == Family::Custom => {
-                // Only steady scenes in two dimensions, without formulas for shapes, have fixed particles.
+                // Only steady scenes, without formulas for shapes, have fixed particles.
                 Ok(self.with(&[Setting::set(&format!("method.name={fixed}"))]).unwrap_or_else(|_| self.clone()))
             }
             (Search::Fixed, Some(fixed)) => {

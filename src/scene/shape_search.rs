@@ -4,7 +4,8 @@
 //! then they are placed anew, the same shapes are judged again (the jump is the error of the cloud, and is recorded),
 //! and [`crate::design::sqp`] goes on from there.
 
-use super::around_shapes::{AroundShapes, Judged};
+use super::around_flow::Designed;
+use super::around_shapes::Judged;
 use crate::config::custom::Part;
 use crate::config::scene::Config;
 use crate::design::parametrisations::numbers::Numbers;
@@ -90,7 +91,7 @@ fn limits(config: &Config) -> Vec<Limit> {
 /// A search of a configuration.
 pub struct Search<'a> {
     pub config: &'a Config,
-    around: AroundShapes,
+    around: Box<dyn Designed>,
     limits: Vec<Limit>,
     /// The objective of the first design, in which the others are measured.
     unit: f64,
@@ -102,31 +103,29 @@ impl<'a> Search<'a> {
     /// # Errors
     /// Shapes that cannot be resolved.
     pub fn new(config: &'a Config) -> Result<Self, Error> {
-        let around = AroundShapes::new(config)?;
+        let around = <dyn Designed>::of_config(config)?;
         let width = config.variables.iter().map(|variable| variable.upper - variable.lower).collect();
         Ok(Self { config, around, limits: limits(config), unit: 0.0, numbers: Numbers::of_config(config), width })
     }
 
     /// How far each variable may move in a round, in its width.
     fn trust(&self) -> Vec<f64> {
-        let cloud = &self.around.flow.cloud;
-        let size = |shape: usize| (cloud.places.polygons[shape].area() / PI).sqrt();
-        let of = |(k, &(shape, number)): (usize, &(usize, usize))| {
-            let most = match cloud.ground.outlines[shape].parts[number] {
-                Part::Angle => TRUST * 180.0 / PI,
-                Part::Parameter(_) => self.width[k],
-                _ => TRUST * size(shape),
+        let of = |k: usize| {
+            let most = match self.around.part(k) {
+                (Part::Angle, _) => TRUST * 180.0 / PI,
+                (Part::Parameter(_), _) => self.width[k],
+                (_, size) => TRUST * size,
             };
             most / self.width[k]
         };
-        self.around.wanted.iter().enumerate().map(of).collect()
+        (0..self.width.len()).map(of).collect()
     }
 
     /// Objective, limits and their derivatives at variables between 0 and 1.
     fn judge(&mut self, x: &[f64], progress: &mut dyn FnMut(f64)) -> Result<(f64, Point), Error> {
         let variables = self.numbers.values(x);
-        let flow = self.around.flow(&variables, None, progress)?;
-        let Judged { value: objective, by_variables } = self.around.judged(&flow, &variables)?;
+        let entries: Vec<usize> = self.limits.iter().map(|limit| limit.entry).collect();
+        let (Judged { value: objective, by_variables }, of_limits) = self.around.judge(&variables, &entries, progress)?;
         if self.unit == 0.0 {
             self.unit = objective.abs().max(f64::MIN_POSITIVE);
         }
@@ -136,9 +135,8 @@ impl<'a> Search<'a> {
         };
         let gradient = scaled(by_variables, factor, &self.width);
         let mut limited = vec![];
-        for k in 0..self.limits.len() {
-            let Limit { entry, sign, bound, is_equation } = self.limits[k];
-            let Judged { value, by_variables } = self.around.judged_limit(&flow, &variables, entry)?;
+        for (limit, Judged { value, by_variables }) in self.limits.iter().zip(of_limits) {
+            let Limit { sign, bound, is_equation, .. } = *limit;
             let factor = sign / bound.abs().max(1e-12);
             limited.push(Limited {
                 value: factor * (value - bound),
@@ -203,7 +201,7 @@ impl<'a> Search<'a> {
             }
             history.push(epoch);
             let last = history.len() - 1;
-            if history[last].is_better(&history[best], self.around.sign()) {
+            if history[last].is_better(&history[best], self.config.objective.goal.sign()) {
                 best = last;
             }
             watch(&history[last], last);
@@ -220,7 +218,7 @@ impl<'a> Search<'a> {
                 of_last_round = now;
                 // Particles are placed anew around the shapes where they are.
                 let placed = self.config.with_shape_values(&self.numbers.values(&at.x));
-                match AroundShapes::new(&placed) {
+                match <dyn Designed>::of_config(&placed) {
                     Ok(around) => self.around = around,
                     Err(error) => {
                         stopped = Some(error.to_string());
@@ -237,6 +235,6 @@ impl<'a> Search<'a> {
 
     /// What makes an objective a number of about 1 that is to become smaller.
     fn factor(&self) -> f64 {
-        -self.around.sign() / self.unit
+        -self.config.objective.goal.sign() / self.unit
     }
 }

@@ -5,7 +5,7 @@
 //! smallest one. A gain of a few tenths of a percent that was found at one spacing, or at the end of one run, may be an
 //! error of the solver that the optimiser has exploited.
 
-use super::around_shapes::AroundShapes;
+use super::around_flow::Designed;
 use super::load::Loaded;
 use super::record::Record;
 use super::Scene;
@@ -42,6 +42,8 @@ impl Check {
     /// scene without random numbers does not depend on the seed.
     fn is_for(self, config: &Config) -> bool {
         match self {
+            // In three dimensions particles that move take hours.
+            Self::OtherMotion if config.is_around_bodies() => false,
             Self::OtherMotion if config.is_around_shapes() => config.unsteady().is_none() && config.counterpart_moves(),
             Self::OtherMotion => config.scene.has_design() && config.dimension() == 2,
             Self::TwiceTime => !config.is_around_shapes() || config.unsteady().is_some(),
@@ -340,10 +342,9 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
 
 fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::Result<f64> {
     if loaded.config.is_around_shapes() {
-        let mut around = AroundShapes::new(&loaded.config)?;
+        let mut around = <dyn Designed>::of_config(&loaded.config)?;
         let first = around.first();
-        let flow = around.flow(&first, None, progress)?;
-        return Ok(around.objective_of(&flow, &first)?);
+        return Ok(around.value(&first, progress)?);
     }
     let design = Scene::<R>::problem(&loaded.config)?;
     let problem = design
