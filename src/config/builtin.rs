@@ -224,6 +224,7 @@ pub const EXAMPLES: &[BuiltIn] = &[
     built_in!("schaefer-turek-1", "2D steady flow past a cylinder in a channel, Re = 20 (drag and lift known)"),
     built_in!("schaefer-turek-2", "the same at Re = 100, with vortices (drag, lift and frequency known)"),
     built_in!("schaefer-turek-3", "the same with an inflow that comes and goes (drag, lift and pressure known)"),
+    built_in!("sphere-array", "3D slow flow through a cubic array of spheres (drag known)"),
     built_in!(
         "vortex-street",
         "2D vortices behind a cylinder in an open stream, Re = 100 (frequency, drag and lift known)"

@@ -2,10 +2,12 @@
 
 use super::found::{Curve, Found, Progress};
 use crate::config::scene::Config;
+use crate::scene::around_bodies::AroundBodies;
 use crate::scene::around_in_time::{History, Moment};
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::periodic_box::PeriodicBox;
 use crate::sph::cloud::figures::Figure;
+use std::f64::consts::PI;
 
 /// A flow whose figures are known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,6 +18,8 @@ pub enum Benchmark {
     SchaeferTurek1,
     SchaeferTurek2,
     SchaeferTurek3,
+    /// Drag of a sphere in a cubic array at a Reynolds number of 0 (Zick and Homsy 1982).
+    SphereArray,
     /// Cylinder in an open stream at a Reynolds number of 100.
     VortexStreet,
     /// A flow in a periodic box without shapes, whose exact solution the configuration states.
@@ -50,6 +54,9 @@ impl Benchmark {
     pub fn take(self, config: &Config, progress: Progress) -> anyhow::Result<Done> {
         if self == Self::PeriodicBox {
             return periodic_box(config, progress);
+        }
+        if self == Self::SphereArray {
+            return sphere_array(config);
         }
         let mut around = AroundShapes::new(config)?;
         let particles = around.flow.cloud.particles();
@@ -123,6 +130,17 @@ fn periodic_box(config: &Config, progress: Progress) -> anyhow::Result<Done> {
     let fields = own_box.particle_fields(config.time.end, steps, &gone.last);
     let error = own_box.errors(&fields)?.0.unwrap_or(f64::NAN);
     Ok(Done { found: Found { error, curves: vec![] }, particles, steps })
+}
+
+/// The drag of a sphere in that of one alone, whose known value belongs to spheres that fill an eighth of space.
+fn sphere_array(config: &Config) -> anyhow::Result<Done> {
+    let mut around = AroundBodies::new(config)?;
+    let solution = around.solve(&around.first())?;
+    let rate = around.objective(&solution).0;
+    let radius = config.shapes.first().and_then(|sphere| sphere.radius).unwrap_or(f64::NAN);
+    let drag = 1.0 / (6.0 * PI * config.kinematic_viscosity() * radius * rate);
+    let (particles, steps) = (around.flow.cloud.particles(), around.flow.solver.counts.steps);
+    Ok(Done { found: found(&[("drag", drag, 4.292, 1.0)], vec![]), particles, steps })
 }
 
 /// The objective some time after the first largest lift of a window.
