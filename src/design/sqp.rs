@@ -57,9 +57,9 @@ pub struct Sqp {
 
 /// The model's first curvature: with it the first step is a tenth of a unit along a gradient of one.
 const FIRST: f64 = 10.0;
-/// Sweeps over the variables for a quadratic model, and rounds for its limits.
 /// The least that it is taken for before curvatures are seen, in `FIRST`.
 const LEAST: f64 = 1e-3;
+/// Sweeps over the variables for a quadratic model, and rounds for its limits.
 const SWEEPS: usize = 60;
 const ROUNDS: usize = 40;
 /// The expected decrease of the merit at which the search ends.
