@@ -626,6 +626,26 @@ fn steps_of_the_search_hold_limits_and_find_the_minimum() {
     assert!(best.limits[0].value < 1e-3 && evaluations < 60);
 }
 
+/// An objective that changes by a per cent over the whole range is improved, too: its curvature is not that of the first guess.
+#[test]
+fn a_search_does_not_end_before_it_has_tried_anything() {
+    let judge = |x: &[f64]| Point {
+        x: x.to_vec(),
+        value: 1.0 + 0.02 * (x[0] - 0.9).powi(2),
+        gradient: vec![0.04 * (x[0] - 0.9)],
+        limits: vec![],
+    };
+    let mut search = Sqp::new(&[0.5], &[0.0], &[1.0]);
+    let mut evaluations = 0;
+    while !search.is_done() && evaluations < 20 {
+        let x = search.ask().to_vec();
+        search.tell(Some(judge(&x)));
+        evaluations += 1;
+    }
+    let best = search.best().unwrap();
+    assert!((best.x[0] - 0.9).abs() < 0.05 && evaluations < 20, "{:?} after {evaluations}", best.x);
+}
+
 #[test]
 fn a_search_raises_the_heat_at_a_fixed_area() {
     let mut text = channel(0.03, "objective.kind = \"shape-heat\"\nobjective.shapes = [2]\noptimise.epochs = 30\n");

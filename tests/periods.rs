@@ -1,6 +1,6 @@
 //! Means over whole periods of flows in time: windows, their derivative, and searches with them.
 
-use crate::support::program::{hydrograd, refused};
+use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::scene::Config;
 use hydrograd::numerics::curve::{sum, Curve};
 use hydrograd::scene::around_in_time::{History, Of};
@@ -192,6 +192,30 @@ fn a_search_lowers_the_mean_drag_of_a_flow_in_time() {
     for (a, b) in found.history.iter().zip(&again.history) {
         assert_eq!((&a.variables, a.objective), (&b.variables, b.objective));
     }
+}
+
+/// The commands around a search: its files, a simulation of its best design, and the check of its gain.
+#[test]
+fn a_search_in_time_leaves_its_files_and_can_be_verified() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("scene.toml"), turning("objective.period = \"2*PI/p1\"")).unwrap();
+    succeeds(at, &["optimize", "scene.toml", "--epochs", "2", "--out", "found"]);
+    let read = |file: &str| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(at.join(file)).unwrap()).unwrap()
+    };
+    let found = read("found/summary.json");
+    let (first, best) = (found["drag_first"].as_f64().unwrap(), found["drag"].as_f64().unwrap());
+    assert!(best < first, "{first} -> {best}");
+    assert!(["best.toml", "history.csv", "report.html", "flow.png"].iter().all(|f| at.join("found").join(f).exists()));
+    succeeds(at, &["simulate", "found/best.toml", "--out", "best"]);
+    assert_eq!(read("best/summary.json")["objective"].as_f64(), Some(best));
+    succeeds(at, &["verify", "found", "--out", "verified"]);
+    let verified = read("verified/verification.json");
+    let checks = verified["verification"].as_array().unwrap();
+    let gain = |k: usize| checks[k]["gain"].as_f64().unwrap();
+    assert!(checks.len() == 3 && checks[2]["check"].as_str().unwrap().contains("twice the time"), "{checks:?}");
+    assert!((gain(0) + best / first - 1.0).abs() < 1e-9 && gain(1) > 0.0 && gain(2) > 0.0, "{checks:?}");
 }
 
 #[test]

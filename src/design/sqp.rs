@@ -57,6 +57,8 @@ pub struct Sqp {
 
 /// The model's first curvature: with it the first step is a tenth of a unit along a gradient of one.
 const FIRST: f64 = 10.0;
+/// The least that it is taken for before curvatures are seen, in `FIRST`.
+const LEAST: f64 = 1e-3;
 /// Sweeps over the variables for a quadratic model, and rounds for its limits.
 const SWEEPS: usize = 60;
 const ROUNDS: usize = 40;
@@ -229,6 +231,11 @@ impl Sqp {
         self.weight = self.weight.max(1.5 * largest);
         (self.multipliers, self.step, self.share) = (multipliers, d, 1.0);
         self.asked = at.x.iter().zip(&self.step).map(|(x, d)| x + d).collect();
+        // A guessed curvature may be too large for what the objective depends on little: then nothing would ever be tried.
+        if !self.has_model && self.expected(&at) < WORTH && trace > LEAST * FIRST {
+            self.model.iter_mut().for_each(|curvature| *curvature *= 0.1);
+            return self.propose();
+        }
         self.done = self.expected(&at) < WORTH || self.step.iter().all(|d| d.abs() < 1e-9);
     }
 }
