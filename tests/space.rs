@@ -69,7 +69,8 @@ fn drag_of_a_cubic_array_of_spheres_is_that_of_zick_and_homsy() {
 fn a_column_has_the_flow_drag_and_heat_of_the_plane() {
     let (dx, depth) = (0.025, 0.1);
     let region = Region { size: [1.0, 0.4, depth], periodic: [true, false, true] };
-    let disc = ShapeEntry { kind: Kind::Disc, centre: Some(vec![0.5, 0.2]), radius: Some(0.06), ..ShapeEntry::default() };
+    let disc =
+        ShapeEntry { kind: Kind::Disc, centre: Some(vec![0.5, 0.2]), radius: Some(0.06), ..ShapeEntry::default() };
     let outline = Outline::new(&disc, 0.0).expect("an outline");
     let column = Surface::column(outline, 2, &region);
     let ground = Ground { region, dx, surface: 0.5 * dx, surfaces: vec![column] };

@@ -102,12 +102,7 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let _own = RunFolder::take(folder, "scenes check", Earlier::Replaced)?;
     let places = &around.flow.cloud.places;
     let least = places.spacing.iter().copied().fold(f64::INFINITY, f64::min);
-    println!(
-        "{}: scene {}, 3 dimensions, dx {}",
-        loaded.source,
-        config.scene.name(),
-        config.resolution.dx
-    );
+    println!("{}: scene {}, 3 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
     println!(
         "particles           {} in all: {} fluid, {} on walls; spacing {least:.2e} at least",
         places.place.len(),

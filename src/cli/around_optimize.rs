@@ -1,7 +1,7 @@
 //! `optimize` with fixed particles around shapes: exact gradients of the steady flow, limits, particles placed anew.
 
-use super::around_in_time::{self, Run};
 use super::around_bodies;
+use super::around_in_time::{self, Run};
 use super::around_shapes::{self, goal, print_figures};
 use super::files::{self, AFTER, BEFORE};
 use super::run_folder::{Earlier, RunFolder};
@@ -17,9 +17,9 @@ use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_bodies::AroundBodies;
 use crate::scene::around_shapes::AroundShapes;
-use crate::scene::particle_fields::ParticleFields;
 use crate::scene::field_map::FieldMap;
 use crate::scene::load::Loaded;
+use crate::scene::particle_fields::ParticleFields;
 use crate::scene::record::Record;
 use crate::scene::shape_search::{Epoch, Found, Search, HELD};
 use crate::scene::verification::{wall_settings, Verification};

@@ -1,12 +1,12 @@
 //! `hydrograd check-gradient`: checks the design gradient against differences.
 
 use super::arguments::{at_least_one, CommonArguments, GradientArguments};
-use super::{around_bodies, around_shapes};
 use super::files::{self, write_json};
 use super::page;
 use super::periodic_box;
 use super::prepare::{build, open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
+use super::{around_bodies, around_shapes};
 use crate::adjoint::check::{check, cosine, Direction};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};

@@ -1,9 +1,9 @@
 //! The command line: one file per subcommand.
 
 pub mod arguments;
+mod around_bodies;
 mod around_in_time;
 mod around_optimize;
-mod around_bodies;
 mod around_shapes;
 pub mod bench;
 mod calibrate;

@@ -1,12 +1,12 @@
 //! `hydrograd scenes`: lists the built-in scenes, prints one as TOML, or checks what a file would build.
 
 use super::arguments::{check_preset, CommonArguments};
-use super::{around_bodies, around_shapes};
 use super::files;
 use super::machine;
 use super::periodic_box;
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{Earlier, RunFolder};
+use super::{around_bodies, around_shapes};
 use crate::adjoint::Dynamics;
 use crate::config::builtin::{self, BuiltIn, EXAMPLES, PRESETS, SCENES};
 use crate::config::scene::{Config, Precision};

@@ -76,7 +76,13 @@ impl Surroundings for Conditions {
         let all = || point.sides.iter().map(of);
         // On an edge: what is given counts more than what follows, and an inflow or moving wall more than a wall at rest.
         let rank = |motion: &Motion| match motion {
-            Motion::Given(u) => if u.iter().any(|u| *u != 0.0) { 2 } else { 3 },
+            Motion::Given(u) => {
+                if u.iter().any(|u| *u != 0.0) {
+                    2
+                } else {
+                    3
+                }
+            }
             Motion::Symmetry(_) => 1,
             Motion::Outflow(_) => 0,
         };
@@ -463,7 +469,9 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
 fn no_solution(config: &Config, why: &NoSolution) -> Error {
     match why {
         NoSolution::Cloud(Unusable::Folded([x, y, z])) => Error::diverged(
-            format!("the particles fold at ({x:.4}, {y:.4}, {z:.4}): a shape moved too far from where they were placed"),
+            format!(
+                "the particles fold at ({x:.4}, {y:.4}, {z:.4}): a shape moved too far from where they were placed"
+            ),
             finer(config),
         ),
         NoSolution::Cloud(why) => unusable(config, why),

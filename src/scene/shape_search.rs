@@ -125,7 +125,8 @@ impl<'a> Search<'a> {
     fn judge(&mut self, x: &[f64], progress: &mut dyn FnMut(f64)) -> Result<(f64, Point), Error> {
         let variables = self.numbers.values(x);
         let entries: Vec<usize> = self.limits.iter().map(|limit| limit.entry).collect();
-        let (Judged { value: objective, by_variables }, of_limits) = self.around.judge(&variables, &entries, progress)?;
+        let (Judged { value: objective, by_variables }, of_limits) =
+            self.around.judge(&variables, &entries, progress)?;
         if self.unit == 0.0 {
             self.unit = objective.abs().max(f64::MIN_POSITIVE);
         }

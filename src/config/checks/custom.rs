@@ -314,7 +314,8 @@ impl Config {
             }
         }
         let objective = &self.objective;
-        let terms = objective.terms.iter().enumerate().map(|(k, term)| (format!("objective.terms[{k}].kind"), term.kind));
+        let terms =
+            objective.terms.iter().enumerate().map(|(k, term)| (format!("objective.terms[{k}].kind"), term.kind));
         let limits = self.limits.iter().enumerate().map(|(k, limit)| (format!("limits[{k}].kind"), limit.kind));
         for (key, kind) in terms.chain(limits).chain([("objective.kind".to_string(), objective.kind)]) {
             use ObjectiveKind::{Area, Dissipation, Distance, Torque};
@@ -360,12 +361,9 @@ impl Config {
             }
             match kind {
                 ObjectiveKind::Area | ObjectiveKind::Distance | ObjectiveKind::Volume if !limit => {
-                    Err(bad("area, distance and volume are for limits")
-                        .allowed("[[limits]] with at_least or at_most"))
+                    Err(bad("area, distance and volume are for limits").allowed("[[limits]] with at_least or at_most"))
                 }
-                ObjectiveKind::Volume if self.dimension() == 2 => {
-                    Err(bad("volume in two dimensions").allowed("area"))
-                }
+                ObjectiveKind::Volume if self.dimension() == 2 => Err(bad("volume in two dimensions").allowed("area")),
                 ObjectiveKind::OutletTemperature | ObjectiveKind::WallHeat => {
                     Err(bad("this figure belongs to moving particles")
                         .allowed(OF_SHAPES)

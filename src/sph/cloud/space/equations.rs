@@ -106,9 +106,9 @@ impl Equations {
         let of = |f: usize| -> Vec<[f64; C]> {
             match f {
                 TEMPERATURE if self.diffusivity.is_none() => vec![[0.0; C]; self.particles()],
-                _ => (0..self.particles())
-                    .map(|i| operators.derivatives(&self.stencils, i, &state.fields[f]))
-                    .collect(),
+                _ => {
+                    (0..self.particles()).map(|i| operators.derivatives(&self.stencils, i, &state.fields[f])).collect()
+                }
             }
         };
         Derivatives(std::array::from_fn(of))

@@ -93,7 +93,9 @@ impl Measures {
         let distance = |x: f64| {
             // Columns across the stream are met at several heights.
             let of = |k: usize| {
-                let p = |a: usize, b: usize| [x, region.size[1] * (a as f64 + 0.5) / 8.0, region.size[2] * (b as f64 + 0.5) / 8.0];
+                let p = |a: usize, b: usize| {
+                    [x, region.size[1] * (a as f64 + 0.5) / 8.0, region.size[2] * (b as f64 + 0.5) / 8.0]
+                };
                 cloud.ground.distance(p(k / 8, k % 8), None)
             };
             let ends = if region.periodic[0] { f64::INFINITY } else { x.min(region.size[0] - x) };
@@ -240,11 +242,8 @@ impl Measures {
 
     /// Mean pressures where fluid enters and leaves, as points with weights.
     fn ends(&self, at: &At<'_>) -> Vec<(usize, f64)> {
-        let found: Vec<(usize, usize, f64)> = self
-            .rest
-            .iter()
-            .filter_map(|&(k, a)| Some((k, Self::end_of(at, k, a)?, dot(a, a).sqrt())))
-            .collect();
+        let found: Vec<(usize, usize, f64)> =
+            self.rest.iter().filter_map(|&(k, a)| Some((k, Self::end_of(at, k, a)?, dot(a, a).sqrt()))).collect();
         let total = |end: usize| found.iter().filter(|one| one.1 == end).map(|one| one.2).sum::<f64>();
         let totals = [total(0), total(1)];
         found.iter().map(|&(k, end, area)| (k, [1.0, -1.0][end] * area / totals[end])).collect()

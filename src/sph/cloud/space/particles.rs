@@ -102,8 +102,8 @@ impl Cloud {
         let places = ground.fill().map_err(Unusable::Placing)?;
         let near = neighbours(&ground, &places, threads);
         let count = |i: usize| if i < places.inside { NEIGHBOURS } else { ON_BOUNDARY };
-        let stencils = Stencils::new(ground.region, &places.place, count, &near)
-            .map_err(|i| Unusable::Lonely(places.place[i]))?;
+        let stencils =
+            Stencils::new(ground.region, &places.place, count, &near).map_err(|i| Unusable::Lonely(places.place[i]))?;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = stencils.coefficients(&position);
         let mut laplace = stencils.matrix(1);
@@ -211,9 +211,8 @@ impl Cloud {
         let numbers: Vec<Dual> =
             numbers.iter().enumerate().map(|(n, &x)| Dual::new(x, if Some(n) == by { 1.0 } else { 0.0 })).collect();
         let own = self.places.boundary.iter().filter_map(|point| point.on.filter(|on| on.0 == shape));
-        let of = |(_, spot): (usize, super::surface::Spot)| {
-            surface.volume(&surface.at(&spot, &numbers), self.centre[shape])
-        };
+        let of =
+            |(_, spot): (usize, super::surface::Spot)| surface.volume(&surface.at(&spot, &numbers), self.centre[shape]);
         own.map(of).fold(Dual::new(0.0, 0.0), |sum, x| sum + x)
     }
 
@@ -270,8 +269,7 @@ impl Cloud {
         let inside = self.places.inside;
         let mut place_bar: Vec<[f64; 3]> = vec![[0.0; 3]; self.places.boundary.len()];
         for d in 0..3 {
-            let of_boundary =
-                solve_scalar(&self.map[1], &position_bar[d], self.threads).ok_or(Unusable::Singular)?;
+            let of_boundary = solve_scalar(&self.map[1], &position_bar[d], self.threads).ok_or(Unusable::Singular)?;
             place_bar.iter_mut().zip(&of_boundary[inside..]).for_each(|(to, x)| to[d] = *x);
         }
         let place = |k: usize| -> [f64; 3] { std::array::from_fn(|d| shaped.position[d][inside + k]) };
@@ -296,7 +294,12 @@ impl Cloud {
                     numbers[shape][number] += step;
                     (place(k), numbers)
                 };
-                let own = self.places.boundary.iter().enumerate().filter(|(_, point)| point.on.is_some_and(|on| on.0 == shape));
+                let own = self
+                    .places
+                    .boundary
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, point)| point.on.is_some_and(|on| on.0 == shape));
                 let step = 1e-5 * value.abs().max(1e-3);
                 return own.map(|(k, _)| self.by_condition(bar, k, step, &|step| with(k, step))).sum();
             }

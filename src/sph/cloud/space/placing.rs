@@ -162,7 +162,8 @@ impl Ground {
         let first_of_lattice = kept.len();
         for p in self.lattice(dx) {
             let distance = self.distance(p, None);
-            if distance > reach + 0.5 * dx || (distance > 0.75 * self.spacing(distance) && distance > reach - 0.5 * dx) {
+            if distance > reach + 0.5 * dx || (distance > 0.75 * self.spacing(distance) && distance > reach - 0.5 * dx)
+            {
                 let near_wall = !self.is_in_box(p, 0.5 * dx);
                 if !near_wall && !cells.has_within(p, 0.75 * dx) {
                     cells.add(p);
@@ -175,7 +176,11 @@ impl Ground {
             for p in self.lattice(0.7 * h0) {
                 let distance = self.distance(p, None);
                 let h = self.spacing(distance);
-                if distance > 0.7 * h && distance < reach + dx && self.is_in_box(p, 0.7 * h) && !cells.has_within(p, 0.9 * h) {
+                if distance > 0.7 * h
+                    && distance < reach + dx
+                    && self.is_in_box(p, 0.7 * h)
+                    && !cells.has_within(p, 0.9 * h)
+                {
                     cells.add(p);
                     kept.push((p, h));
                 }
@@ -205,9 +210,8 @@ impl Ground {
         let counts = size.map(|size| ((size / spacing).round() as usize).max(1));
         let own = |d: usize| if periodic[d] { counts[d] } else { counts[d] - 1 };
         let (m, n) = (own(1), own(2));
-        let place = move |d: usize, k: usize| {
-            size[d] * (k as f64 + if periodic[d] { 0.0 } else { 1.0 }) / counts[d] as f64
-        };
+        let place =
+            move |d: usize, k: usize| size[d] * (k as f64 + if periodic[d] { 0.0 } else { 1.0 }) / counts[d] as f64;
         (0..own(0) * m * n).map(move |k| [place(0, k / (m * n)), place(1, k / n % m), place(2, k % n)])
     }
 
@@ -254,7 +258,11 @@ impl Ground {
                     let p = walls[point].0;
                     let width = |d: usize| {
                         let is_end = !periodic[d] && (p[d] < 0.5 * step(d) || p[d] > size[d] - 0.5 * step(d));
-                        if is_end { 0.5 * step(d) } else { step(d) }
+                        if is_end {
+                            0.5 * step(d)
+                        } else {
+                            step(d)
+                        }
                     };
                     tiles.push(Tile { point, side, area: width(a) * width(b) });
                 }
@@ -270,8 +278,11 @@ impl Ground {
                 p[b] = size[b] * ((k % count[1]) as f64 + 0.5) / count[1] as f64;
                 p
             };
-            let samples: Vec<([f64; 3], f64)> =
-                (0..count[0] * count[1]).map(sample).map(|p| (p, self.distance(p, None))).filter(|s| s.1 > 0.0).collect();
+            let samples: Vec<([f64; 3], f64)> = (0..count[0] * count[1])
+                .map(sample)
+                .map(|p| (p, self.distance(p, None)))
+                .filter(|s| s.1 > 0.0)
+                .collect();
             for &(p, distance) in samples.iter().filter(|(_, distance)| is_near(*distance)) {
                 let h = self.spacing(distance);
                 if distance > 0.7 * h && !cells.has_within(self.region.wrapped(p), 0.85 * h) {
@@ -301,10 +312,7 @@ impl Ground {
         for step in 0..RELAXATIONS {
             if step % LISTS == 0 {
                 let near = Nearest::new(self.region, self.dx, &places.place);
-                lists = movers
-                    .iter()
-                    .map(|&i| near.of(places.place[i], REPELLING, |j, _| j != i))
-                    .collect();
+                lists = movers.iter().map(|&i| near.of(places.place[i], REPELLING, |j, _| j != i)).collect();
             }
             let shift = |(&i, list): (&usize, &Vec<(f64, u32)>)| {
                 let (p, h) = (places.place[i], places.spacing[i]);

@@ -99,7 +99,12 @@ impl Solver {
     ///
     /// # Errors
     /// No convergence.
-    pub fn settle(&mut self, operators: &Coefficients<C>, state: &mut State, held: Drive<'_>) -> Result<(), NoSteadyState> {
+    pub fn settle(
+        &mut self,
+        operators: &Coefficients<C>,
+        state: &mut State,
+        held: Drive<'_>,
+    ) -> Result<(), NoSteadyState> {
         let n = self.equations.particles();
         let mut scale = None;
         let mut last = f64::INFINITY;

@@ -78,7 +78,12 @@ impl Surface {
         let samples: Vec<[f64; 2]> = fine.iter().map(|point| plane.wrapped(point.place)).collect();
         let samples = Nearest::new(plane, 0.02 * plane.size[0].max(plane.size[1]), &samples);
         let (parts, numbers, geometry) = (outline.parts.clone(), outline.numbers.clone(), outline.geometry);
-        Self { form: Form::Column { polygon: Polygon::of(&fine), samples, plane, outline, axis }, parts, numbers, geometry }
+        Self {
+            form: Form::Column { polygon: Polygon::of(&fine), samples, plane, outline, axis },
+            parts,
+            numbers,
+            geometry,
+        }
     }
 
     /// The least of its own lengths: radius, half of an edge.
@@ -127,9 +132,8 @@ impl Surface {
                 let mut spots = vec![];
                 for along in 0..3 {
                     let [a, b] = across(along);
-                    let count = |d: usize| {
-                        ((self.numbers[3 + d] - self.numbers[d]) / spacing).round().max(1.0) as usize
-                    };
+                    let count =
+                        |d: usize| ((self.numbers[3 + d] - self.numbers[d]) / spacing).round().max(1.0) as usize;
                     let (m, n) = (count(a), count(b));
                     for end in 0..2 {
                         for k in 0..m * n {
@@ -157,12 +161,11 @@ impl Surface {
                     // Every second row is half a point further.
                     let shift = if k % 2 == 0 { 0.0 } else { 0.5 };
                     let of = |&(t, dt, _): &(f64, f64, f64)| (t + shift * dt, dt);
-                    round.iter().map(of).map(move |(t, dt)| Spot::Column {
-                        t: t.rem_euclid(1.0),
-                        dt,
-                        at,
-                        length: step,
-                    }).collect::<Vec<_>>()
+                    round
+                        .iter()
+                        .map(of)
+                        .map(move |(t, dt)| Spot::Column { t: t.rem_euclid(1.0), dt, at, length: step })
+                        .collect::<Vec<_>>()
                 };
                 (0..count).flat_map(row).collect()
             }
