@@ -1,7 +1,8 @@
 //! Fixed particles around shapes in space.
 
-use hydrograd::config::custom::Part;
-use hydrograd::config::custom::{Kind, ShapeEntry};
+use hydrograd::config::custom::{Kind, Part, ShapeEntry};
+use hydrograd::config::scene::Config;
+use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::sph::cloud::equations::Warmth;
 use hydrograd::sph::cloud::figures::Figure;
 use hydrograd::sph::cloud::nearest::Region;
@@ -119,5 +120,43 @@ fn gradient_agrees_with_differences() {
         let off = (gradient[k] - difference).abs() / norm;
         println!("{number}: {} {difference} {off:.1e}", gradient[k]);
         assert!(off < 1e-6, "number {number}: {} by differences {difference}", gradient[k]);
+    }
+}
+
+/// What fixed particles do not have in three dimensions, and shapes that cannot be.
+#[test]
+fn scenes_are_refused_by_name() {
+    const BOX: &str = "scene = \"custom\"\nmethod.name = \"fixed\"\nregion.size = [1.0, 0.4, 0.4]\n\
+                       region.periodic = [true, false, false]\nregion.acceleration = [1.0, 0.0, 0.0]\nresolution.dx = 0.05\n\
+                       fluid.viscosity = 0.01\nobjective.kind = \"flow-rate\"\n";
+    let ball =
+        |centre: &str, radius: f64| format!("[[shapes]]\nkind = \"disc\"\ncentre = {centre}\nradius = {radius}\n");
+    let middle = ball("[0.5, 0.2, 0.2]", 0.1);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.toml");
+    let cases = [
+        (format!("method.flow = \"unsteady\"\n{middle}"), "method.flow = unsteady in three dimensions"),
+        (format!("{middle}[[limits]]\nkind = \"area\"\nat_most = 1.0\n"), "limits[0].kind = area in three dimensions"),
+        (format!("resolution.far = 2.0\n{middle}"), "resolution.far"),
+        (ball("[0.5, 0.2]", 0.1), "shapes[0].centre"),
+        (ball("[0.5, 0.2, 0.2]", 0.21), "shapes[0] cuts"),
+        (ball("[0.5, 0.2, 0.2]", 0.01), "too thin"),
+        (format!("{middle}{}", ball("[0.6, 0.2, 0.2]", 0.1)), "cuts another shape"),
+        (
+            "[[shapes]]\nkind = \"cylinder\"\naxis = \"z\"\ncentre = [0.5, 0.2, 0.2]\nradius = 0.1\n\
+             [[variables]]\nnumber = \"shapes[0].centre[2]\"\nlower = 0.1\nupper = 0.3\n"
+                .to_string(),
+            "does not change the shape",
+        ),
+    ];
+    for (more, problem) in cases {
+        std::fs::write(&file, format!("{BOX}{more}")).unwrap();
+        let loaded = Config::load(Some(file.to_str().unwrap()), None, &[]);
+        let error = match loaded {
+            Ok(loaded) => AroundBodies::new(&loaded.config).err().map(|error| error.to_string()),
+            Err(error) => Some(error.to_string()),
+        };
+        let error = error.unwrap_or_else(|| panic!("{problem}: not refused"));
+        assert!(error.contains(problem), "{problem}: {error}");
     }
 }

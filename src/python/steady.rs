@@ -4,7 +4,8 @@ use super::arrays::{columns, vector};
 use super::errors::to_python;
 use super::watch::{watched, Told};
 use crate::error::{BadInput, Error};
-use crate::scene::around_in_time::Moment;
+use crate::scene::around_bodies::AroundBodies;
+use crate::scene::around_in_time::{Moment, Of};
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
@@ -23,33 +24,52 @@ struct Found {
     history: Vec<(String, Vec<f64>)>,
 }
 
-/// The flows around the shapes of a scene, and the numbers that are asked for.
-fn around(loaded: &Loaded, numbers: Option<Vec<f64>>) -> Result<(AroundShapes, Vec<f64>), Error> {
+/// The numbers that are asked for, or the scene's own.
+fn chosen(numbers: Option<Vec<f64>>, own: Vec<f64>) -> Result<Vec<f64>, Error> {
+    match numbers {
+        Some(numbers) if numbers.len() != own.len() => {
+            let allowed = format!("{} numbers, as the scene has variables", own.len());
+            Err(BadInput::new(format!("{} numbers", numbers.len())).allowed(allowed).into())
+        }
+        numbers => Ok(numbers.unwrap_or(own)),
+    }
+}
+
+/// Checks that particles are fixed around shapes.
+fn check(loaded: &Loaded) -> Result<(), BadInput> {
     if !loaded.config.is_around_shapes() || loaded.config.is_periodic_box() {
         return Err(BadInput::new(
             "a scene whose particles move, that is no scene of one's own, or that has no shapes and no walls",
         )
-        .allowed("scene = \"custom\" with method.name = \"fixed\"")
-        .into());
+        .allowed("scene = \"custom\" with method.name = \"fixed\""));
     }
-    let around = AroundShapes::new(&loaded.config)?;
-    let numbers = numbers.unwrap_or_else(|| around.first());
-    if numbers.len() != around.wanted.len() {
-        let allowed = format!("{} numbers, as the scene has variables", around.wanted.len());
-        return Err(BadInput::new(format!("{} numbers", numbers.len())).allowed(allowed).into());
-    }
-    Ok((around, numbers))
+    Ok(())
+}
+
+/// Figures by name as JSON.
+fn text(figures: Vec<(&'static str, Value)>) -> String {
+    let figures: Map<String, Value> = figures.into_iter().map(|(name, value)| (name.to_string(), value)).collect();
+    Value::Object(figures).to_string()
 }
 
 fn found(loaded: &Loaded, numbers: Option<Vec<f64>>, gradient: bool) -> Result<Found, Error> {
-    let (mut around, numbers) = around(loaded, numbers)?;
+    check(loaded)?;
+    if loaded.config.is_around_bodies() {
+        let mut around = AroundBodies::new(&loaded.config)?;
+        let numbers = chosen(numbers, around.first())?;
+        let solution = around.solve(&numbers)?;
+        let objective = around.objective(&solution).0;
+        let gradient = if gradient { Some(around.judged(&solution)?.by_variables) } else { None };
+        let (figures, fields) = (text(around.summary(&solution)), around.fields(&solution));
+        return Ok(Found { numbers, objective, gradient, figures, fields, history: vec![] });
+    }
+    let mut around = AroundShapes::new(&loaded.config)?;
+    let numbers = chosen(numbers, around.first())?;
     let solution = around.solve(&numbers)?;
     let (objective, terms) = around.objective(&solution);
     let gradient = if gradient { Some(around.gradient(&solution, &terms)?) } else { None };
-    let figures: Map<String, Value> =
-        around.summary(&solution).into_iter().map(|(name, value)| (name.to_string(), value)).collect();
-    let fields = around.fields(&solution);
-    Ok(Found { numbers, objective, gradient, figures: Value::Object(figures).to_string(), fields, history: vec![] })
+    let (figures, fields) = (text(around.summary(&solution)), around.fields(&solution));
+    Ok(Found { numbers, objective, gradient, figures, fields, history: vec![] })
 }
 
 fn found_in_time(
@@ -65,15 +85,17 @@ fn found_in_time(
             .advice("method.flow=unsteady")
             .into());
     }
-    let (around, numbers) = around(loaded, numbers)?;
+    check(loaded)?;
+    let around = AroundShapes::new(&loaded.config)?;
+    let numbers = chosen(numbers, around.first())?;
     let (history, last) = around.march(&numbers, None, &mut |moment, _| {
         tell(moment.time / end);
         Ok(())
     })?;
-    let objective = history.objective(around.window());
-    let gradient = if gradient { Some(around.march_gradient(&numbers, &history)?) } else { None };
-    let from = around.window();
-    let mean = |(k, (name, _)): (usize, &(String, _))| (name.clone(), json!(history.of(from, k).mean));
+    let window = around.window(&numbers, &history)?;
+    let objective = history.objective(&window);
+    let gradient = if gradient { Some(around.march_gradient(&numbers, &history, Of::Objective)?) } else { None };
+    let mean = |(k, (name, _)): (usize, &(String, _))| (name.clone(), json!(history.of(&window, k).mean));
     let figures: Map<String, Value> = history.figures.iter().enumerate().map(mean).collect();
     let of = |value: &dyn Fn(&Moment) -> f64| history.moments.iter().map(value).collect::<Vec<f64>>();
     let mut columns = vec![("time".to_string(), of(&|moment| moment.time))];
@@ -122,9 +144,9 @@ impl Found {
         all.set_item("objective", self.objective)?;
         all.set_item("gradient", self.gradient.map(|gradient| vector(py, gradient)))?;
         all.set_item("figures", self.figures)?;
-        let ParticleFields { position, velocity, pressure, temperature, tag, .. } = self.fields;
-        all.set_item("position", columns(py, position, 2)?)?;
-        all.set_item("velocity", columns(py, velocity, 2)?)?;
+        let ParticleFields { dimension, position, velocity, pressure, temperature, tag, .. } = self.fields;
+        all.set_item("position", columns(py, position, dimension)?)?;
+        all.set_item("velocity", columns(py, velocity, dimension)?)?;
         all.set_item("pressure", vector(py, pressure))?;
         all.set_item("temperature", temperature.map(|temperature| vector(py, temperature)))?;
         all.set_item("tag", vector(py, tag))?;
