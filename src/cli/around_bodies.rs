@@ -110,7 +110,7 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
         places.boundary.len()
     );
     println!("method              fixed: a steady flow, no steps in time");
-    println!("placing             {placed:.2} s; the flow is not solved here");
+    println!("run time            {placed:.2} s to place the particles; the flow is not solved here");
     println!("memory              {:.0} MB at the peak", peak_memory_bytes() as f64 / 1e6);
     machine::answer(&json!({
         "scene": config.scene,
