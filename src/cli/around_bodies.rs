@@ -1,6 +1,6 @@
 //! `simulate`, `scenes check` and `check-gradient` of fixed particles in three dimensions.
 
-use super::around_shapes::{goal, of_objective, print_figures, Figures};
+use super::around_shapes::{goal, imbalances, of_objective, print_figures, Figures};
 use super::files::{self, write_json};
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
@@ -27,14 +27,15 @@ use std::time::Instant;
 /// More of the flow than this must not be left of continuity.
 const REST: f64 = 0.03;
 
-fn warnings_of(around: &AroundBodies, solution: &Solution) -> Vec<Warning> {
+fn warnings_of(around: &AroundBodies, solution: &Solution, figures: &Figures) -> Vec<Warning> {
+    let mut found = imbalances(figures, &finer(around.config()));
     let rest = around.rest(solution);
-    if rest <= REST {
-        return vec![];
+    if rest > REST {
+        let problem =
+            format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest);
+        found.push(Warning::new("volume", [rest, REST], problem, finer(around.config())));
     }
-    let problem =
-        format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest);
-    vec![Warning::new("volume", [rest, REST], problem, finer(around.config()))]
+    found
 }
 
 /// The summary of a flow.
@@ -43,7 +44,7 @@ pub fn record(loaded: &Loaded, around: &AroundBodies, solution: &Solution, figur
     for (name, value) in figures {
         record.put(name, value);
     }
-    record.put_warnings(loaded, warnings_of(around, solution));
+    record.put_warnings(loaded, warnings_of(around, solution, figures));
     record
 }
 

@@ -49,9 +49,8 @@ pub fn fastest(solution: &Solution) -> f64 {
 /// Figures by name, see [`AroundShapes::summary`].
 pub type Figures = [(&'static str, Value)];
 
-/// Warnings about a solution and its figures: a surface that does not agree with the balance, a rest of continuity, and
-/// narrow passages.
-fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) -> Vec<Warning> {
+/// Warnings about shapes whose surface does not agree with the balance.
+pub fn imbalances(figures: &Figures, advice: &str) -> Vec<Warning> {
     let shapes = figures.iter().find(|(name, _)| *name == "shapes").and_then(|(_, shapes)| shapes.as_array().cloned());
     let mut found = vec![];
     for (k, shape) in shapes.into_iter().flatten().enumerate() {
@@ -68,10 +67,17 @@ fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) ->
                      it is not resolved",
                     100.0 * off
                 );
-                found.push(Warning::new("imbalance", [off, IMBALANCE], problem, around.finer_advice()));
+                found.push(Warning::new("imbalance", [off, IMBALANCE], problem, advice));
             }
         }
     }
+    found
+}
+
+/// Warnings about a solution and its figures: a surface that does not agree with the balance, a rest of continuity, and
+/// narrow passages.
+fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) -> Vec<Warning> {
+    let mut found = imbalances(figures, &around.finer_advice());
     let area = around.flow.measures.area(&around.flow.at(solution));
     // What goes round in a cavity counts as well.
     let narrowest = around.config().region.size.iter().fold(f64::MAX, |a, &b| a.min(b));

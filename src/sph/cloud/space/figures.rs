@@ -65,7 +65,7 @@ impl Measures {
         }
         let tile = |tile: &super::placing::Tile| {
             let mut area = [0.0; 3];
-            area[tile.side / 2] = if tile.side % 2 == 0 { tile.area } else { -tile.area };
+            area[tile.side / 2] = if tile.side.is_multiple_of(2) { tile.area } else { -tile.area };
             (tile.point, area)
         };
         let rest = places.tiles.iter().map(tile).collect();
@@ -174,11 +174,15 @@ impl Measures {
         area
     }
 
-    /// The heat that enters at a point of the boundary, by conduction and with the fluid.
+    /// The heat that enters at a point of the boundary, by conduction (the given flux, where one is given) and with the fluid.
     fn warmth(&self, at: &At<'_>, k: usize, a: [f64; 3]) -> f64 {
         let (i, alpha) = (self.inside + k, at.equations.diffusivity.unwrap_or(0.0));
+        let carried = at.state.fields[TEMPERATURE][i] * dot(at.state.velocity(i), a);
+        if let Warmth::Flux(flux) = at.shaped.conditions[k].warmth {
+            return carried + flux * dot(a, a).sqrt();
+        }
         let slope: [f64; 3] = std::array::from_fn(|b| at.d.0[TEMPERATURE][i][b]);
-        at.state.fields[TEMPERATURE][i] * dot(at.state.velocity(i), a) - alpha * dot(slope, a)
+        carried - alpha * dot(slope, a)
     }
 
     fn warmth_back(&self, at: &At<'_>, k: usize, a: [f64; 3], weight: f64, bar: &mut Bar) -> [f64; 3] {
@@ -186,8 +190,13 @@ impl Measures {
         let (u, t) = (at.state.velocity(i), at.state.fields[TEMPERATURE][i]);
         bar.fields[TEMPERATURE][i] += weight * dot(u, a);
         let mut area = [0.0; 3];
+        (0..3).for_each(|b| bar.fields[b][i] += weight * t * a[b]);
+        if let Warmth::Flux(flux) = at.shaped.conditions[k].warmth {
+            let size = dot(a, a).sqrt();
+            bar.boundary[k].temperature += weight * size;
+            return std::array::from_fn(|b| weight * (t * u[b] + flux * a[b] / size));
+        }
         for b in 0..3 {
-            bar.fields[b][i] += weight * t * a[b];
             bar.derivatives.0[TEMPERATURE][i][b] -= weight * alpha * a[b];
             area[b] = weight * (t * u[b] - alpha * at.d.0[TEMPERATURE][i][b]);
         }

@@ -28,6 +28,16 @@ pub struct OnSurface<S> {
     pub area: [S; 3],
 }
 
+/// An outline in the plane across `axis`, along all of the region.
+#[derive(Debug)]
+pub struct Column {
+    outline: Outline,
+    axis: usize,
+    polygon: Polygon,
+    samples: Nearest<2>,
+    plane: Plane,
+}
+
 /// What a surface looks like.
 #[derive(Debug)]
 pub enum Form {
@@ -35,8 +45,7 @@ pub enum Form {
     Ball,
     /// Numbers: lower and upper corner.
     Box,
-    /// An outline in the plane across `axis`, along all of the region.
-    Column { outline: Outline, axis: usize, polygon: Polygon, samples: Nearest<2>, plane: Plane },
+    Column(Box<Column>),
 }
 
 /// The surface of a shape.
@@ -79,7 +88,7 @@ impl Surface {
         let samples = Nearest::new(plane, 0.02 * plane.size[0].max(plane.size[1]), &samples);
         let (parts, numbers, geometry) = (outline.parts.clone(), outline.numbers.clone(), outline.geometry);
         Self {
-            form: Form::Column { polygon: Polygon::of(&fine), samples, plane, outline, axis },
+            form: Form::Column(Box::new(Column { polygon: Polygon::of(&fine), samples, plane, outline, axis })),
             parts,
             numbers,
             geometry,
@@ -91,7 +100,7 @@ impl Surface {
         match &self.form {
             Form::Ball => self.numbers[3],
             Form::Box => (0..3).map(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d])).fold(f64::MAX, f64::min),
-            Form::Column { polygon, .. } => (0.5 * polygon.area()).sqrt(),
+            Form::Column(column) => (0.5 * column.polygon.area()).sqrt(),
         }
     }
 
@@ -106,7 +115,8 @@ impl Surface {
                 let outside = out.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
                 outside + out.iter().fold(f64::MIN, |most, x| most.max(*x)).min(0.0)
             }
-            Form::Column { axis, polygon, samples, plane, .. } => {
+            Form::Column(column) => {
+                let Column { axis, polygon, samples, plane, .. } = column.as_ref();
                 let [a, b] = across(*axis);
                 let q = [p[a], p[b]];
                 let distance = samples.distance(plane.wrapped(q), f64::INFINITY);
@@ -144,7 +154,8 @@ impl Surface {
                 }
                 spots
             }
-            Form::Column { outline, axis, .. } => {
+            Form::Column(column) => {
+                let Column { outline, axis, .. } = column.as_ref();
                 let samples = outline.samples(64);
                 let mut points = outline.points(&samples, &outline.numbers);
                 for point in &mut points {
@@ -159,7 +170,7 @@ impl Surface {
                 let row = |k: usize| {
                     let at = (k as f64 + 0.5) * step;
                     // Every second row is half a point further.
-                    let shift = if k % 2 == 0 { 0.0 } else { 0.5 };
+                    let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
                     let of = |&(t, dt, _): &(f64, f64, f64)| (t + shift * dt, dt);
                     round
                         .iter()
@@ -192,7 +203,8 @@ impl Surface {
                 area[along] = (s[3 + a] - s[a]) * (s[3 + b] - s[b]) * S::of(sign * share);
                 OnSurface { place, area }
             }
-            (Spot::Column { t, dt, at, length }, Form::Column { outline, axis, .. }) => {
+            (Spot::Column { t, dt, at, length }, Form::Column(column)) => {
+                let Column { outline, axis, .. } = column.as_ref();
                 let point = outline.points(&[t], s)[0];
                 let [a, b] = across(*axis);
                 let (mut place, mut area) = ([zero; 3], [zero; 3]);
@@ -208,7 +220,7 @@ impl Surface {
     /// The part of the volume inside that belongs to a spot, r . area / 3 with r from `centre`. (Of a column, whose ends have no
     /// spots, r . area / 2 across the axis.)
     pub fn volume<S: Scalar>(&self, on: &OnSurface<S>, centre: [f64; 3]) -> S {
-        let skipped = if let Form::Column { axis, .. } = &self.form { Some(*axis) } else { None };
+        let skipped = if let Form::Column(column) = &self.form { Some(column.axis) } else { None };
         let part = if skipped.is_some() { 0.5 } else { 1.0 / 3.0 };
         let of = |d: usize| (on.place[d] - S::of(centre[d])) * on.area[d];
         (0..3).filter(|d| Some(*d) != skipped).map(of).fold(S::of(0.0), |sum, x| sum + x) * S::of(part)
