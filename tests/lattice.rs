@@ -3,10 +3,11 @@
 use hydrograd::config::method::fixed::Derivatives;
 use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::sph::lattice::adjoint::{pull_back, MEMORY};
-use hydrograd::sph::lattice::equations::{Buoyancy, Equations, Materials, State};
+use hydrograd::sph::lattice::equations::{Equations, Materials, State};
 use hydrograd::sph::lattice::march::{run, Control, Diverged};
 use hydrograd::sph::lattice::symbols::Weights;
 use hydrograd::sph::lattice::transform::Transform;
+use hydrograd::sph::laws::buoyancy::Buoyancy;
 use std::f64::consts::{PI, TAU};
 
 const BOTH: [Derivatives; 2] = [Derivatives::Fits, Derivatives::Spectral];
@@ -271,7 +272,7 @@ fn a_force_and_warm_fluid_accelerate_the_box() {
         viscosity: 0.1,
         diffusivity: Some(0.05),
         force: vec![0.3, 0.0],
-        buoyancy: Some(Buoyancy { by: vec![0.0, 2.0], at: 0.25 }),
+        buoyancy: Some(Buoyancy { by: [0.0, 2.0, 0.0], at: 0.25 }),
     };
     let flow = equations(&[12, 12], own, Derivatives::Spectral);
     let fields = [vec![0.0; 144], vec![0.0; 144], vec![0.75; 144]];
@@ -323,7 +324,7 @@ fn gradients_are_exact() {
             viscosity: 0.03,
             diffusivity: Some(0.02),
             force: (0..d).map(|a| 0.1 * a as f64 - 0.2).collect(),
-            buoyancy: Some(Buoyancy { by: (0..d).map(|a| 0.5 - a as f64).collect(), at: 0.2 }),
+            buoyancy: Some(Buoyancy { by: [0.5, -0.5, if d == 3 { -1.5 } else { 0.0 }], at: 0.2 }),
         };
         let flow = equations(&shape, own.clone(), kind);
         let count: usize = shape.iter().product();

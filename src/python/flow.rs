@@ -6,8 +6,9 @@ use super::watch::watched;
 use crate::config::method::fixed::Derivatives;
 use crate::error::BadInput;
 use crate::scene::periodic_flow::{Gone, PeriodicFlow};
-use crate::sph::lattice::equations::{Buoyancy, Materials};
+use crate::sph::lattice::equations::Materials;
 use crate::sph::lattice::march::Control;
+use crate::sph::laws::buoyancy::Buoyancy;
 use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -80,12 +81,17 @@ impl Flow {
         if !(step >= 0.0 && step.is_finite()) {
             return Err(bad(format!("step = {step}"), "a finite number above 0, or None"));
         }
-        let materials = Materials {
-            viscosity,
-            diffusivity: temperature.is_some().then_some(diffusivity),
-            force,
-            buoyancy: buoyancy.map(|(by, at)| Buoyancy { by, at }),
+        let buoyancy = match buoyancy {
+            Some((by, _)) if by.len() != d => {
+                return Err(bad(format!("buoyancy with {} components", by.len()), "a number for each dimension"));
+            }
+            Some((by, at)) => {
+                Some(Buoyancy { by: std::array::from_fn(|a| by.get(a).copied().unwrap_or_default()), at })
+            }
+            None => None,
         };
+        let materials =
+            Materials { viscosity, diffusivity: temperature.is_some().then_some(diffusivity), force, buoyancy };
         let derivatives = if fits { Derivatives::Fits } else { Derivatives::Spectral };
         let flow = PeriodicFlow::new(&shape[..d], &size, materials, derivatives);
         let flow = flow.map_err(|bad| to_python(bad.into()))?;

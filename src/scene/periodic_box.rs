@@ -9,9 +9,10 @@ use crate::io::grid_file::{read_velocity, write_grid};
 use crate::io::vtk::Image;
 use crate::io::FileError;
 use crate::particles::tag;
-use crate::sph::lattice::equations::{Buoyancy, Materials, State};
+use crate::sph::lattice::equations::{Materials, State};
 use crate::sph::lattice::march::Control;
 use crate::sph::lattice::transform::resampled;
+use crate::sph::laws::buoyancy::Buoyancy;
 use std::path::Path;
 
 /// The share of `method.tolerance` that the error of a step may be: derivatives are far more exact here than around shapes.
@@ -45,10 +46,11 @@ impl PeriodicBox {
             viscosity: config.kinematic_viscosity(),
             diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
             force: region.acceleration.clone(),
-            buoyancy: (fluid.expansion != 0.0).then(|| Buoyancy {
-                by: region.acceleration.iter().map(|g| -fluid.expansion * g).collect(),
-                at: fluid.reference_temperature.unwrap_or(fluid.inlet_temperature),
-            }),
+            buoyancy: Buoyancy::new(
+                fluid.expansion,
+                &region.acceleration,
+                fluid.reference_temperature.unwrap_or(fluid.inlet_temperature),
+            ),
         };
         let derivatives = config.unsteady().map(|fixed| fixed.derivatives).unwrap_or_default();
         let flow = PeriodicFlow::new(&shape, &region.size, materials, derivatives)?;

@@ -16,6 +16,7 @@
 use super::symbols::Symbols;
 use super::transform::{Spectrum, Transform};
 use crate::config::method::fixed::Derivatives;
+use crate::sph::laws::buoyancy::Buoyancy;
 use num_complex::Complex64;
 
 /// i times a number.
@@ -25,13 +26,6 @@ fn turned(factor: f64, z: Complex64) -> Complex64 {
 
 /// Spectra of the components of the velocity, and of the temperature.
 pub type State = Vec<Spectrum>;
-
-/// The buoyancy of temperatures other than `at`: an acceleration `by` for each degree.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Buoyancy {
-    pub by: Vec<f64>,
-    pub at: f64,
-}
 
 /// What numbers make a flow.
 #[derive(Debug, Clone, PartialEq)]
