@@ -1,11 +1,10 @@
 //! Custom scenes of fixed particles in three dimensions: the steady flow around the bodies of a configuration, its figures and objective.
 
-use super::around_shapes::{finer, no_flow, Judged};
+use super::around_shapes::{check_finite, has_objective, held, no_solution, sides, unusable, Judged, Wall};
 use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
-use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, Side, SideKind};
-use crate::config::formula::Function;
-use crate::config::scene::{Asked, Config, DriveName, ObjectiveKind};
+use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, SideKind};
+use crate::config::scene::{Asked, Config, ObjectiveKind};
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
@@ -14,11 +13,10 @@ use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::Region;
 use crate::sph::cloud::outline::Outline;
 use crate::sph::cloud::space::equations::{Motion, PRESSURE, TEMPERATURE};
-use crate::sph::cloud::space::particles::{Cloud, Fluid, Surroundings, Unusable};
-use crate::sph::cloud::space::placing::{BoundaryPoint, Ground, Unplaceable};
-use crate::sph::cloud::space::problem::{NoSolution, Solution, SteadyFlow};
+use crate::sph::cloud::space::particles::{Cloud, Fluid, Surroundings};
+use crate::sph::cloud::space::placing::{BoundaryPoint, Ground};
+use crate::sph::cloud::space::problem::{Solution, SteadyFlow};
 use crate::sph::cloud::space::surface::{across, Form, Surface};
-use crate::sph::cloud::steady::Held;
 use serde_json::{json, Value};
 use std::sync::Arc;
 
@@ -43,20 +41,12 @@ struct Conditions {
     sides: [Option<(SideKind, OnWall)>; 6],
     /// How many numbers of each shape are its surface's.
     geometry: Vec<usize>,
-    reference: f64,
-    /// Density times heat capacity.
-    capacity: f64,
+    wall: Wall,
 }
 
 impl Conditions {
     fn on(&self, wall: &OnWall, place: [f64; 3], parameters: &[f64]) -> (Motion, Warmth) {
-        let at = |function: &Function| function.with_parameters(place, 0.0, parameters);
-        let mut velocity = [0.0; 3];
-        wall.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
-        let warmth = match (&wall.temperature, &wall.heat_flux) {
-            (Some(temperature), _) => Warmth::Given(at(temperature) - self.reference),
-            (None, flux) => Warmth::Flux(flux.as_ref().map_or(0.0, at) / self.capacity),
-        };
+        let (velocity, warmth) = self.wall.at(wall, place, 0.0, parameters);
         (Motion::Given(velocity), warmth)
     }
 }
@@ -147,24 +137,12 @@ impl AroundBodies {
         let surfaces: Vec<Surface> =
             config.shapes.iter().filter_map(|entry| surface(entry, &region, ROUNDED * spacing)).collect();
         let read = config.wall_formula();
-        let side = |(name, side): (&'static str, Option<&Side>)| {
-            let Some(side) = side else { return Ok(None) };
-            let Side { kind, velocity, temperature, heat_flux } = side;
-            let key = format!("region.sides.{name}");
-            OnWall::new(&key, 3, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref(), read)
-                .map(|wall| Some((*kind, wall)))
-        };
-        let mut sides: [Option<(SideKind, OnWall)>; 6] = Default::default();
-        for (to, given) in sides.iter_mut().zip(given.sides.all()) {
-            *to = side(given)?;
-        }
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 3, read));
         let conditions = Conditions {
             shapes: shapes.collect::<Result<_, BadInput>>()?,
-            sides,
+            sides: sides(config, 3)?,
             geometry: surfaces.iter().map(|surface| surface.geometry).collect(),
-            reference: fluid.inlet_temperature,
-            capacity: fluid.density * fluid.heat_capacity,
+            wall: Wall::of_config(config),
         };
         let materials = Fluid {
             viscosity: config.kinematic_viscosity(),
@@ -172,13 +150,7 @@ impl AroundBodies {
             force: std::array::from_fn(|d| given.acceleration[d]),
             velocity: fluid.reference_velocity,
         };
-        let held = match fluid.drive {
-            DriveName::BodyForce => None,
-            DriveName::FlowRate => fluid.flow_rate.map(Held::FlowRate),
-            DriveName::PumpingPower => {
-                fluid.pumping_power.map(|power| Held::Power { power: power / fluid.density, length: region.size[0] })
-            }
-        };
+        let held = held(config);
         let ground = Ground { region, dx, surface: spacing, surfaces };
         let threads = threads::count();
         let cloud =
@@ -293,13 +265,8 @@ impl AroundBodies {
     pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
         let wanted = self.wanted.clone();
         let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
-        match found.iter().position(|g| !g.is_finite()) {
-            Some(k) => Err(Error::diverged(
-                format!("the gradient by {} is {}", self.config.variables[k].number, found[k]),
-                finer(&self.config),
-            )),
-            None => Ok(found),
-        }
+        check_finite(&self.config, &found)?;
+        Ok(found)
     }
 
     /// The objective of a flow, with its derivative by the variables.
@@ -336,13 +303,6 @@ impl AroundBodies {
         Ok(Judged { value, by_variables })
     }
 
-    /// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
-    pub fn has_objective(&self) -> bool {
-        let objective = &self.config.objective;
-        let is_told = objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty();
-        is_told || self.config.initial.temperature.is_some()
-    }
-
     /// The figures of a flow by name, for its summary.
     pub fn summary(&self, solution: &Solution) -> Vec<(&'static str, Value)> {
         let has_heat = self.config.initial.temperature.is_some();
@@ -373,7 +333,7 @@ impl AroundBodies {
         if has_heat {
             all.push(("heat_outflow", json!(value(Figure::HeatOutflow))));
         }
-        if self.has_objective() {
+        if has_objective(&self.config) {
             all.push(("objective_kind", json!(self.config.objective.kind)));
             all.push(("objective", json!(self.objective(solution).0)));
         }
@@ -433,48 +393,4 @@ impl AroundBodies {
 fn place_of(cloud: &Cloud, number: &ShapeNumber) -> Option<(usize, usize)> {
     let parts = &cloud.ground.surfaces.get(number.shape)?.parts;
     Some((number.shape, parts.iter().position(|part| *part == number.part)?))
-}
-
-fn unusable(config: &Config, why: &Unusable) -> Error {
-    let at = |[x, y, z]: &[f64; 3]| format!("({x:.4}, {y:.4}, {z:.4})");
-    let bad = match why {
-        Unusable::Placing(Unplaceable::Narrow { shape, width }) => BadInput::at(
-            format!("shapes[{shape}]"),
-            format!("shapes[{shape}] cuts another shape or a side of the box, or is only {width:.2e} from another shape"),
-        )
-        .allowed("shapes in the box that are at least a spacing apart; cylinders and extruded shapes reach from side to side along their axis"),
-        Unusable::Placing(Unplaceable::Thin { shape, width }) => BadInput::at(
-            format!("shapes[{shape}]"),
-            format!("shapes[{shape}] is about {width:.2e} thick, which is too thin"),
-        )
-        .allowed("shapes thicker than resolution.dx"),
-        Unusable::Placing(Unplaceable::Full) => {
-            BadInput::at("shapes", "the shapes leave hardly any fluid").allowed("a box that is mostly fluid")
-        }
-        Unusable::Lonely(place) => {
-            BadInput::at("shapes", format!("the particle at {} has too few neighbours that no wall hides", at(place)))
-                .allowed("shapes that leave room for a few spacings of fluid")
-        }
-        Unusable::Folded(place) => BadInput::at(
-            "variables",
-            format!("the particles around the shapes fold at {}: a shape moved too far, or into another wall", at(place)),
-        )
-        .allowed("shapes that stay apart, in the box"),
-        Unusable::Singular => BadInput::at("shapes", "the particles around the shapes have no map")
-            .allowed("shapes that are apart from each other"),
-    };
-    bad.advice(finer(config)).into()
-}
-
-fn no_solution(config: &Config, why: &NoSolution) -> Error {
-    match why {
-        NoSolution::Cloud(Unusable::Folded([x, y, z])) => Error::diverged(
-            format!(
-                "the particles fold at ({x:.4}, {y:.4}, {z:.4}): a shape moved too far from where they were placed"
-            ),
-            finer(config),
-        ),
-        NoSolution::Cloud(why) => unusable(config, why),
-        NoSolution::Flow(why) => no_flow(config, why),
-    }
 }

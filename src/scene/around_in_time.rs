@@ -1,6 +1,6 @@
 //! Custom scenes of fixed particles whose flow goes on in time: steps, and figures of each.
 
-use super::around_shapes::{no_solution, tolerance, AroundShapes};
+use super::around_shapes::{check_finite, no_flow, no_solution, tolerance, AroundShapes};
 use super::periods::{Period, TooFew, Window};
 use crate::config::formula::Function;
 use crate::config::scene::Config;
@@ -211,7 +211,8 @@ impl AroundShapes {
 
     fn begin(&self, variables: &[f64]) -> Result<Begun, Error> {
         let (config, cloud) = (self.config(), &self.flow.cloud);
-        let shaped = cloud.shaped(&self.numbers(variables)).map_err(|why| no_solution(config, &why.into()))?;
+        let shaped =
+            cloud.shaped(&self.numbers(variables)).map_err(|why| no_solution(config, &NoSolution::from(why)))?;
         let (velocity, temperature) = config.initial.at_start(2)?;
         let first = first_state(config, &shaped, cloud.places.inside, (&velocity, temperature.as_ref()));
         let rate = Rate { measures: &self.flow.measures, shaped: &shaped };
@@ -282,7 +283,7 @@ impl AroundShapes {
             None => flow.run(first, control, &mut seen),
         };
         history.sizes = taken.map_err(|failure| match failure {
-            Failure::Flow(why) => no_solution(config, &NoSolution::Flow(why)),
+            Failure::Flow(why) => no_flow(config, &why),
             Failure::Other(error) => error,
         })?;
         history.factorisations = march.factorisations;
@@ -395,13 +396,12 @@ impl AroundShapes {
             sizes: &history.sizes,
             flow_rate_back: &flow_rate_back,
         };
-        let found = taken
-            .pull_back(&mut march, &mut figures, self.wanted.len())
-            .map_err(|why| no_solution(self.config(), &NoSolution::Flow(why)))?;
+        let found =
+            taken.pull_back(&mut march, &mut figures, self.wanted.len()).map_err(|why| no_flow(self.config(), &why))?;
         let mut all = cloud.by_numbers(&shaped, &found.position, &found.bar, &self.wanted, None);
         all.iter_mut().zip(found.parameters).for_each(|(all, by)| *all += by);
         all.iter_mut().zip(slopes.by_variables).for_each(|(all, by)| *all += by);
-        self.check_finite(&all)?;
+        check_finite(self.config(), &all)?;
         Ok(all)
     }
 }

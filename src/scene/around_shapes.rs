@@ -45,25 +45,17 @@ struct Conditions {
     plane: Plane,
     dx: f64,
     shapes: Vec<OnWall>,
-    sides: [Option<(SideKind, OnWall)>; 4],
+    sides: [Option<(SideKind, OnWall)>; 6],
     polygons: Vec<Polygon>,
     /// How many numbers of each shape are its outline's.
     geometry: Vec<usize>,
-    reference: f64,
-    /// Density times heat capacity.
-    capacity: f64,
+    wall: Wall,
 }
 
 impl Conditions {
-    fn on(&self, wall: &OnWall, place: [f64; 2], time: f64, parameters: &[f64]) -> (Motion, Warmth) {
-        let at = |function: &Function| function.with_parameters([place[0], place[1], 0.0], time, parameters);
-        let mut velocity = [0.0; 2];
-        wall.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
-        let warmth = match (&wall.temperature, &wall.heat_flux) {
-            (Some(temperature), _) => Warmth::Given(at(temperature) - self.reference),
-            (None, flux) => Warmth::Flux(flux.as_ref().map_or(0.0, at) / self.capacity),
-        };
-        (Motion::Given(velocity), warmth)
+    fn on(&self, wall: &OnWall, [x, y]: [f64; 2], time: f64, parameters: &[f64]) -> (Motion, Warmth) {
+        let ([u, v, _], warmth) = self.wall.at(wall, [x, y, 0.0], time, parameters);
+        (Motion::Given([u, v]), warmth)
     }
 }
 
@@ -113,6 +105,74 @@ pub struct Judged {
     pub by_variables: Vec<f64>,
 }
 
+/// What the drive of a configuration holds.
+pub(super) fn held(config: &Config) -> Option<Held> {
+    let fluid = &config.fluid;
+    match fluid.drive {
+        DriveName::BodyForce => None,
+        DriveName::FlowRate => fluid.flow_rate.map(Held::FlowRate),
+        DriveName::PumpingPower => {
+            fluid.pumping_power.map(|power| Held::Power { power: power / fluid.density, length: config.region.size[0] })
+        }
+    }
+}
+
+/// The conditions on the sides of a box in some dimensions, in the order of [`Sides::all`].
+pub(super) fn sides(config: &Config, dimension: usize) -> Result<[Option<(SideKind, OnWall)>; 6], BadInput> {
+    let mut found: [Option<(SideKind, OnWall)>; 6] = Default::default();
+    for (to, (name, side)) in found.iter_mut().zip(config.region.sides.all()) {
+        let Some(Side { kind, velocity, temperature, heat_flux }) = side else { continue };
+        let (key, read) = (format!("region.sides.{name}"), config.wall_formula());
+        let wall = OnWall::new(&key, dimension, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref(), read)?;
+        *to = Some((*kind, wall));
+    }
+    Ok(found)
+}
+
+/// Velocity and temperature that formulas give on a wall.
+#[derive(Debug)]
+pub(super) struct Wall {
+    pub reference: f64,
+    /// Density times heat capacity.
+    pub capacity: f64,
+}
+
+impl Wall {
+    pub fn of_config(config: &Config) -> Self {
+        let fluid = &config.fluid;
+        Self { reference: fluid.inlet_temperature, capacity: fluid.density * fluid.heat_capacity }
+    }
+
+    pub fn at(&self, wall: &OnWall, place: [f64; 3], time: f64, parameters: &[f64]) -> ([f64; 3], Warmth) {
+        let at = |function: &Function| function.with_parameters(place, time, parameters);
+        let mut velocity = [0.0; 3];
+        wall.velocity.iter().enumerate().for_each(|(e, function)| velocity[e] = at(function));
+        let warmth = match (&wall.temperature, &wall.heat_flux) {
+            (Some(temperature), _) => Warmth::Given(at(temperature) - self.reference),
+            (None, flux) => Warmth::Flux(flux.as_ref().map_or(0.0, at) / self.capacity),
+        };
+        (velocity, warmth)
+    }
+}
+
+/// An error for a derivative by a variable that is not finite.
+pub(super) fn check_finite(config: &Config, gradient: &[f64]) -> Result<(), Error> {
+    match gradient.iter().position(|g| !g.is_finite()) {
+        Some(k) => Err(Error::diverged(
+            format!("the gradient by {} is {}", config.variables[k].number, gradient[k]),
+            finer(config),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
+pub(super) fn has_objective(config: &Config) -> bool {
+    let objective = &config.objective;
+    let is_told = objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty();
+    is_told || config.initial.temperature.is_some()
+}
+
 fn outlines(entries: &[ShapeEntry], surface: f64) -> Vec<Outline> {
     entries.iter().filter_map(|entry| Outline::new(entry, ROUNDED * surface)).collect()
 }
@@ -130,24 +190,15 @@ impl AroundShapes {
         let outlines = outlines(&config.shapes, surface);
         let read = config.wall_formula();
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 2, read));
-        let side = |(name, side): (&'static str, Option<&Side>)| {
-            let Some(side) = side else { return Ok(None) };
-            let Side { kind, velocity, temperature, heat_flux } = side;
-            let key = format!("region.sides.{name}");
-            OnWall::new(&key, 2, velocity.as_ref(), temperature.as_ref(), heat_flux.as_ref(), read)
-                .map(|wall| Some((*kind, wall)))
-        };
-        let [left, right, bottom, top, ..] = region.sides.all().map(side);
         let polygon = |outline: &Outline| Polygon::of(&outline.points(&outline.samples(8), &outline.numbers));
         let conditions = Conditions {
             plane,
             dx,
             shapes: shapes.collect::<Result<_, BadInput>>()?,
-            sides: [left?, right?, bottom?, top?],
+            sides: sides(config, 2)?,
             polygons: outlines.iter().map(polygon).collect(),
             geometry: outlines.iter().map(|outline| outline.geometry).collect(),
-            reference: fluid.inlet_temperature,
-            capacity: fluid.density * fluid.heat_capacity,
+            wall: Wall::of_config(config),
         };
         let materials = Fluid {
             viscosity: config.kinematic_viscosity(),
@@ -156,13 +207,7 @@ impl AroundShapes {
             buoyancy: Buoyancy::new(fluid.expansion, &region.acceleration, config.neutral_temperature()),
             velocity: fluid.reference_velocity,
         };
-        let held = match fluid.drive {
-            DriveName::BodyForce => None,
-            DriveName::FlowRate => fluid.flow_rate.map(Held::FlowRate),
-            DriveName::PumpingPower => {
-                fluid.pumping_power.map(|power| Held::Power { power: power / fluid.density, length: region.size[0] })
-            }
-        };
+        let held = held(config);
         let ground = Ground {
             plane,
             dx,
@@ -349,9 +394,7 @@ impl AroundShapes {
 
     /// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
     pub fn has_objective(&self) -> bool {
-        let objective = &self.config.objective;
-        let is_told = objective.kind != ObjectiveKind::HeatOutflow || !objective.terms.is_empty();
-        is_told || self.config.initial.temperature.is_some()
+        has_objective(&self.config)
     }
 
     /// The derivative of weighted figures by the variables.
@@ -361,18 +404,8 @@ impl AroundShapes {
     pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
         let wanted = self.wanted.clone();
         let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
-        self.check_finite(&found)?;
+        check_finite(&self.config, &found)?;
         Ok(found)
-    }
-
-    pub(super) fn check_finite(&self, gradient: &[f64]) -> Result<(), Error> {
-        match gradient.iter().position(|g| !g.is_finite()) {
-            Some(k) => Err(Error::diverged(
-                format!("the gradient by {} is {}", self.config.variables[k].number, gradient[k]),
-                finer(&self.config),
-            )),
-            None => Ok(()),
-        }
     }
 
     /// Value and derivative of a limit that needs no flow: area or distance; none for other kinds.
@@ -600,9 +633,17 @@ pub fn finer(config: &Config) -> String {
     format!("resolution.dx={}", (dx * digits).floor() / digits)
 }
 
-fn unusable(config: &Config, why: &Unusable) -> Error {
-    let at = |[x, y]: &[f64; 2]| format!("({x:.4}, {y:.4})");
+pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Error {
     let bad = match why {
+        Unusable::Placing(Unplaceable::Narrow { shape, width }) if D == 3 => BadInput::at(
+            format!("shapes[{shape}]"),
+            format!(
+                "shapes[{shape}] cuts another shape or a side of the box, or is only {width:.2e} from another shape"
+            ),
+        )
+        .allowed(
+            "shapes in the box that are at least a spacing apart; cylinders and extruded shapes reach from side to side along their axis",
+        ),
         Unusable::Placing(Unplaceable::Narrow { shape, width }) => BadInput::at(
             format!("shapes[{shape}]"),
             format!("shapes[{shape}] is {width:.2e} from another wall, too near for particles in between"),
@@ -612,19 +653,24 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
             format!("shapes[{shape}]"),
             format!("shapes[{shape}] is about {width:.2e} thick, which is too thin"),
         )
-        .allowed("shapes that are thicker than a third of resolution.dx"),
+        .allowed(if D == 3 {
+            "shapes thicker than resolution.dx"
+        } else {
+            "shapes that are thicker than a third of resolution.dx"
+        }),
         Unusable::Placing(Unplaceable::Full) => {
             BadInput::at("shapes", "the shapes leave hardly any fluid").allowed("a box that is mostly fluid")
         }
-        Unusable::Lonely(place) => {
-            BadInput::at("shapes", format!("the particle at {} has too few neighbours that no wall hides", at(place)))
-                .allowed("shapes that leave room for a few spacings of fluid")
-        }
+        Unusable::Lonely(place) => BadInput::at(
+            "shapes",
+            format!("the particle at {} has too few neighbours that no wall hides", shown(place)),
+        )
+        .allowed("shapes that leave room for a few spacings of fluid"),
         Unusable::Folded(place) => BadInput::at(
             "variables",
             format!(
                 "the particles around the shapes fold at {}: a shape moved too far, or into another wall",
-                at(place)
+                shown(place)
             ),
         )
         .allowed("shapes that stay apart, in the box"),
@@ -634,15 +680,20 @@ fn unusable(config: &Config, why: &Unusable) -> Error {
     bad.advice(finer(config)).into()
 }
 
+/// A place in a message.
+fn shown(place: &[f64]) -> String {
+    format!("({})", place.iter().map(|x| format!("{x:.4}")).collect::<Vec<String>>().join(", "))
+}
+
 /// Error of a step of a flow in time.
 pub(super) fn tolerance(config: &Config) -> f64 {
     config.unsteady().map_or(1e-3, |fixed| fixed.tolerance)
 }
 
-pub(super) fn no_solution(config: &Config, why: &NoSolution) -> Error {
+pub(super) fn no_solution<const D: usize>(config: &Config, why: &NoSolution<D>) -> Error {
     match why {
-        NoSolution::Cloud(Unusable::Folded([x, y])) => Error::diverged(
-            format!("the particles fold at ({x:.4}, {y:.4}): a shape moved too far from where they were placed"),
+        NoSolution::Cloud(Unusable::Folded(place)) => Error::diverged(
+            format!("the particles fold at {}: a shape moved too far from where they were placed", shown(place)),
             finer(config),
         ),
         NoSolution::Cloud(why) => unusable(config, why),

@@ -438,17 +438,7 @@ impl Equations {
             if f == 3 && self.diffusivity.is_none() {
                 continue;
             }
-            for (i, bar) in bar.derivatives.0[f].iter().enumerate() {
-                if bar.iter().all(|&x| x == 0.0) {
-                    continue;
-                }
-                for k in 0..self.stencils.neighbours {
-                    let c = operators.of(i, k);
-                    let sum: f64 = c.iter().zip(bar).map(|(c, bar)| c * bar).sum();
-                    to[self.stencils.neighbour(i, k)] += sum;
-                    to[i] -= sum;
-                }
-            }
+            operators.pull_back(&self.stencils, &bar.derivatives.0[f], to);
         }
         fields
     }

@@ -207,6 +207,25 @@ impl<const D: usize> Stencils<D> {
         }
     }
 
+    /// The first particle whose `nearest` neighbours are not apart and on their side, by 0.4 of their distance at the reference `places`
+    /// along it, at positions `[D][N]`.
+    pub fn folded(&self, places: &[[f64; D]], position: &[Vec<f64>; D], nearest: usize) -> Option<[f64; D]> {
+        let is_folded = |i: usize| {
+            (0..nearest).any(|k| {
+                let (j, _, shift) = self.pair(i, k);
+                let (mut square, mut along) = (0.0, 0.0);
+                for d in 0..D {
+                    let before = places[j][d] - places[i][d] + shift[d];
+                    square += before * before;
+                    along += before * (position[d][j] - position[d][i] + shift[d]);
+                }
+                along.is_nan() || along < 0.4 * square
+            })
+        };
+        let found = (0..self.particles).find(|&i| is_folded(i))?;
+        Some(std::array::from_fn(|d| position[d][found]))
+    }
+
     /// A field with whole blocks.
     fn padded_field(&self, field: &[f64]) -> Vec<f64> {
         let mut padded = Vec::with_capacity(blocks(self.particles) * WIDEST);
@@ -278,6 +297,20 @@ impl<const C: usize> Coefficients<C> {
             (0..C).for_each(|a| sum[a] += c[a] * difference);
         }
         sum
+    }
+}
+
+impl<const C: usize> Coefficients<C> {
+    /// Adds the cotangents of a field `[N]`, given those of its derivatives at each particle.
+    pub fn pull_back<const D: usize>(&self, stencils: &Stencils<D>, derivatives: &[[f64; C]], field: &mut [f64]) {
+        for (i, bar) in derivatives.iter().enumerate().filter(|(_, bar)| bar.iter().any(|&x| x != 0.0)) {
+            for k in 0..stencils.count(i) {
+                let c = self.of(i, k);
+                let sum: f64 = c.iter().zip(bar).map(|(c, bar)| c * bar).sum();
+                field[stencils.neighbour(i, k)] += sum;
+                field[i] -= sum;
+            }
+        }
     }
 }
 

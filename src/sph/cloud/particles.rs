@@ -39,12 +39,12 @@ pub struct Fluid {
 
 /// What is wrong with a cloud.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Unusable {
+pub enum Unusable<const D: usize = 2> {
     Placing(Unplaceable),
     /// A particle has too few neighbours that it sees.
-    Lonely([f64; 2]),
+    Lonely([f64; D]),
     /// The map of a shape turns the cloud inside out here.
-    Folded([f64; 2]),
+    Folded([f64; D]),
     Singular,
 }
 
@@ -288,7 +288,9 @@ impl Cloud {
             let moved = self.deformation.displacement(&moved[d]);
             self.places.place.iter().zip(moved).map(|(p, moved)| p[d] + moved).collect()
         });
-        self.check_folds(&position)?;
+        if let Some(place) = self.stencils.folded(&self.places.place, &position, 4) {
+            return Err(Unusable::Folded(place));
+        }
         let conditions = self.conditions(&position, &normal, 0.0, numbers);
         let operators = self.stencils.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
@@ -315,24 +317,6 @@ impl Cloud {
     pub fn conditions_at(&self, shaped: &Shaped, time: f64) -> Vec<Condition> {
         let normal: Vec<[f64; 2]> = shaped.conditions.iter().map(|condition| condition.normal).collect();
         self.conditions(&shaped.position, &normal, time, &shaped.numbers)
-    }
-
-    /// Nearest neighbours must stay apart and on their side: 0.4 of their reference distance along it.
-    fn check_folds(&self, position: &[Vec<f64>; 2]) -> Result<(), Unusable> {
-        for i in 0..self.particles() {
-            for k in 0..4 {
-                let (j, _, shift) = self.stencils.pair(i, k);
-                let (a, b) = (self.places.place[i], self.places.place[j]);
-                let before = [b[0] - a[0] + shift[0], b[1] - a[1] + shift[1]];
-                let now: [f64; 2] = std::array::from_fn(|d| position[d][j] - position[d][i] + shift[d]);
-                let square = before[0] * before[0] + before[1] * before[1];
-                let along = before[0] * now[0] + before[1] * now[1];
-                if along.is_nan() || along < 0.4 * square {
-                    return Err(Unusable::Folded([position[0][i], position[1][i]]));
-                }
-            }
-        }
-        Ok(())
     }
 
     /// Of each point of the boundary the cotangent of its place that those of its given velocity and temperature make at a time; zeros

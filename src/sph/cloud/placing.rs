@@ -63,7 +63,7 @@ pub struct Places {
 /// What is wrong with shapes that cannot be placed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Unplaceable {
-    /// Two bodies, or a body and a wall, are nearer than this.
+    /// Two bodies, or a body and a wall, are nearer than this, or cut each other.
     Narrow { shape: usize, width: f64 },
     /// A shape is thinner than can be resolved.
     Thin { shape: usize, width: f64 },
@@ -71,7 +71,8 @@ pub enum Unplaceable {
     Full,
 }
 
-const GROWTH: f64 = 0.25;
+/// Growth of the spacing near a surface, per distance.
+pub(super) const GROWTH: f64 = 0.25;
 const LAYERS: usize = 2;
 const RELAXATIONS: usize = 30;
 /// The least distance of points where the spacing is coarser, in spacings, before they repel each other. (A lattice that is

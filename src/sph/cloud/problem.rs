@@ -25,25 +25,25 @@ pub struct Solution {
 
 /// Why there is no solution.
 #[derive(Debug, Clone, PartialEq)]
-pub enum NoSolution {
-    Cloud(Unusable),
+pub enum NoSolution<const D: usize = 2> {
+    Cloud(Unusable<D>),
     Flow(NoSteadyState),
 }
 
-impl From<Unusable> for NoSolution {
-    fn from(why: Unusable) -> Self {
+impl<const D: usize> From<Unusable<D>> for NoSolution<D> {
+    fn from(why: Unusable<D>) -> Self {
         Self::Cloud(why)
     }
 }
 
-impl From<NoSteadyState> for NoSolution {
+impl<const D: usize> From<NoSteadyState> for NoSolution<D> {
     fn from(why: NoSteadyState) -> Self {
         Self::Flow(why)
     }
 }
 
 /// Viscosities of the continuation, in the flow's own, where Newton's method does not converge from rest.
-const CONTINUATION: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
+pub(super) const CONTINUATION: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
 
 impl SteadyFlow {
     /// `probes`: see [`Measures::new`]; `balances`: whether forces and heat of bodies may be those that a steady flow balances.

@@ -216,14 +216,7 @@ impl Equations {
     pub fn by_fields(&self, operators: &Coefficients<C>, bar: &Bar) -> [Vec<f64>; 5] {
         let mut fields = bar.fields.clone();
         for (f, to) in fields.iter_mut().enumerate() {
-            for (i, bar) in bar.derivatives.0[f].iter().enumerate().filter(|(_, bar)| bar.iter().any(|&x| x != 0.0)) {
-                for k in 0..self.stencils.count(i) {
-                    let c = operators.of(i, k);
-                    let sum: f64 = c.iter().zip(bar).map(|(c, bar)| c * bar).sum();
-                    to[self.stencils.neighbour(i, k)] += sum;
-                    to[i] -= sum;
-                }
-            }
+            operators.pull_back(&self.stencils, &bar.derivatives.0[f], to);
         }
         fields
     }

@@ -6,11 +6,11 @@ use super::super::equations::Warmth;
 use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
 use super::super::nearest::Nearest;
 use super::super::outline::Dual;
+use super::super::particles::Unusable;
 use super::equations::{Bar, Condition, Equations, Motion};
-use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
-use super::steady::solve_scalar;
+use super::placing::{BoundaryPoint, Ground, Places};
+use super::steady::Scalar;
 use super::surface::OnSurface;
-use crate::numerics::sparse_lu::{BlockMatrix, Singular};
 use crate::sph::consistent::stencil::quadratic;
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -38,23 +38,6 @@ pub struct Fluid {
     pub velocity: f64,
 }
 
-/// What is wrong with a cloud.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Unusable {
-    Placing(Unplaceable),
-    /// A particle has too few neighbours that it sees.
-    Lonely([f64; 3]),
-    /// The map of a shape turns the cloud inside out here.
-    Folded([f64; 3]),
-    Singular,
-}
-
-impl From<Singular> for Unusable {
-    fn from(_: Singular) -> Self {
-        Self::Singular
-    }
-}
-
 /// The reference cloud: places, stencils and map.
 #[derive(Debug)]
 pub struct Cloud {
@@ -66,8 +49,7 @@ pub struct Cloud {
     /// Middle of the points of each shape.
     pub centre: Vec<[f64; 3]>,
     /// Laplace's equation at the reference positions, and its transpose.
-    map: [BlockMatrix; 2],
-    threads: usize,
+    map: [Scalar; 2],
 }
 
 /// The cloud of one shape.
@@ -98,7 +80,7 @@ impl Cloud {
         fluid: Fluid,
         surroundings: Arc<dyn Surroundings>,
         threads: usize,
-    ) -> Result<Self, Unusable> {
+    ) -> Result<Self, Unusable<3>> {
         let places = ground.fill().map_err(Unusable::Placing)?;
         let near = neighbours(&ground, &places, threads);
         let count = |i: usize| if i < places.inside { NEIGHBOURS } else { ON_BOUNDARY };
@@ -131,7 +113,9 @@ impl Cloud {
                 std::array::from_fn(|d| all.iter().map(|p| p[d]).sum::<f64>() / all.len().max(1) as f64)
             })
             .collect();
-        Ok(Self { ground, places, fluid, stencils, surroundings, centre, map: [laplace, transposed], threads })
+        let equation = |matrix| Scalar::new(matrix, threads).map_err(|_| Unusable::Singular);
+        let map = [equation(laplace)?, equation(transposed)?];
+        Ok(Self { ground, places, fluid, stencils, surroundings, centre, map })
     }
 
     pub fn particles(&self) -> usize {
@@ -174,7 +158,7 @@ impl Cloud {
     ///
     /// # Errors
     /// A map that folds the cloud.
-    pub fn shaped(&self, numbers: &[Vec<f64>]) -> Result<Shaped, Unusable> {
+    pub fn shaped(&self, numbers: &[Vec<f64>]) -> Result<Shaped, Unusable<3>> {
         let (n, inside) = (self.particles(), self.places.inside);
         let mut area = vec![[0.0; 3]; n - inside];
         let mut normal: Vec<[f64; 3]> = self.places.boundary.iter().map(|point| point.normal).collect();
@@ -190,11 +174,13 @@ impl Cloud {
         let mut position: [Vec<f64>; 3] = std::array::from_fn(|d| self.places.place.iter().map(|p| p[d]).collect());
         for d in 0..3 {
             if moved[d].iter().any(|&x| x != 0.0) {
-                let moved = solve_scalar(&self.map[0], &moved[d], self.threads).ok_or(Unusable::Singular)?;
+                let moved = self.map[0].solve(&moved[d]).ok_or(Unusable::Singular)?;
                 position[d].iter_mut().zip(moved).for_each(|(x, moved)| *x += moved);
             }
         }
-        self.check_folds(&position)?;
+        if let Some(place) = self.stencils.folded(&self.places.place, &position, 6) {
+            return Err(Unusable::Folded(place));
+        }
         let condition = |(k, point): (usize, &BoundaryPoint)| {
             let place = std::array::from_fn(|d| position[d][inside + k]);
             let (motion, warmth) = self.surroundings.condition(point, place, numbers);
@@ -214,26 +200,6 @@ impl Cloud {
         let of =
             |(_, spot): (usize, super::surface::Spot)| surface.volume(&surface.at(&spot, &numbers), self.centre[shape]);
         own.map(of).fold(Dual::new(0.0, 0.0), |sum, x| sum + x)
-    }
-
-    /// Nearest neighbours must stay apart and on their side: 0.4 of their reference distance along it.
-    fn check_folds(&self, position: &[Vec<f64>; 3]) -> Result<(), Unusable> {
-        for i in 0..self.particles() {
-            for k in 0..6 {
-                let (j, _, shift) = self.stencils.pair(i, k);
-                let (a, b) = (self.places.place[i], self.places.place[j]);
-                let (mut square, mut along) = (0.0, 0.0);
-                for d in 0..3 {
-                    let before = b[d] - a[d] + shift[d];
-                    square += before * before;
-                    along += before * (position[d][j] - position[d][i] + shift[d]);
-                }
-                if along.is_nan() || along < 0.4 * square {
-                    return Err(Unusable::Folded(std::array::from_fn(|d| position[d][i])));
-                }
-            }
-        }
-        Ok(())
     }
 
     /// The derivative of what the conditions of boundary point k give, by central differences along a change of place or numbers.
@@ -265,11 +231,11 @@ impl Cloud {
         position_bar: &[Vec<f64>; 3],
         bar: &Bar,
         wanted: &[(usize, usize)],
-    ) -> Result<Vec<f64>, Unusable> {
+    ) -> Result<Vec<f64>, Unusable<3>> {
         let inside = self.places.inside;
         let mut place_bar: Vec<[f64; 3]> = vec![[0.0; 3]; self.places.boundary.len()];
         for d in 0..3 {
-            let of_boundary = solve_scalar(&self.map[1], &position_bar[d], self.threads).ok_or(Unusable::Singular)?;
+            let of_boundary = self.map[1].solve(&position_bar[d]).ok_or(Unusable::Singular)?;
             place_bar.iter_mut().zip(&of_boundary[inside..]).for_each(|(to, x)| to[d] = *x);
         }
         let place = |k: usize| -> [f64; 3] { std::array::from_fn(|d| shaped.position[d][inside + k]) };

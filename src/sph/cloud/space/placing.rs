@@ -5,7 +5,7 @@
 //! bodies) are filled from a fine lattice, and steps of repulsion spread the points near bodies evenly.
 
 use super::super::nearest::{Nearest, Region};
-use super::super::placing::Growing;
+use super::super::placing::{Growing, Unplaceable, GROWTH};
 use super::surface::{Spot, Surface};
 
 /// What a cloud is made of: surfaces of bodies in a box.
@@ -45,18 +45,6 @@ pub struct Places {
     pub tiles: Vec<Tile>,
 }
 
-/// What is wrong with shapes that cannot be placed.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Unplaceable {
-    /// Two shapes, or a shape and a side of the box, are nearer than this, or cut each other.
-    Narrow { shape: usize, width: f64 },
-    /// A shape is thinner than can be resolved.
-    Thin { shape: usize, width: f64 },
-    /// No fluid is left.
-    Full,
-}
-
-const GROWTH: f64 = 0.25;
 const RELAXATIONS: usize = 20;
 /// Steps of repulsion between searches for neighbours.
 const LISTS: usize = 5;

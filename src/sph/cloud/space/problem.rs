@@ -1,10 +1,12 @@
 //! A steady flow around shapes in space as a function of their numbers: figures, and their exact derivatives.
 
 use super::super::figures::Figure;
+use super::super::particles::Unusable;
+use super::super::problem::{NoSolution, CONTINUATION};
 use super::super::steady::{Held, NoSteadyState};
 use super::equations::{Bar, Derivatives, State, FLOW};
 use super::figures::{At, Measures, Rate};
-use super::particles::{Cloud, Shaped, Unusable};
+use super::particles::{Cloud, Shaped};
 use super::steady::Solver;
 use std::sync::Arc;
 
@@ -25,32 +27,10 @@ pub struct Solution {
     pub derivatives: Derivatives,
 }
 
-/// Why there is no solution.
-#[derive(Debug, Clone, PartialEq)]
-pub enum NoSolution {
-    Cloud(Unusable),
-    Flow(NoSteadyState),
-}
-
-impl From<Unusable> for NoSolution {
-    fn from(why: Unusable) -> Self {
-        Self::Cloud(why)
-    }
-}
-
-impl From<NoSteadyState> for NoSolution {
-    fn from(why: NoSteadyState) -> Self {
-        Self::Flow(why)
-    }
-}
-
-/// Viscosities of the continuation, in the flow's own, where Newton's method does not converge from rest.
-const CONTINUATION: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
-
 impl SteadyFlow {
     /// # Errors
     /// A map of the reference shape that folds, which cannot be.
-    pub fn new(cloud: Cloud, held: Option<Held>, probes: &[[f64; 3]], threads: usize) -> Result<Self, Unusable> {
+    pub fn new(cloud: Cloud, held: Option<Held>, probes: &[[f64; 3]], threads: usize) -> Result<Self, Unusable<3>> {
         let shaped = cloud.shaped(&cloud.numbers())?;
         let solver = Solver::new(cloud.equations(&shaped), threads);
         let measures = Measures::new(&cloud, probes);
@@ -61,7 +41,7 @@ impl SteadyFlow {
     ///
     /// # Errors
     /// A cloud that folds, and a flow that does not become steady.
-    pub fn solve(&mut self, numbers: &[Vec<f64>]) -> Result<Solution, NoSolution> {
+    pub fn solve(&mut self, numbers: &[Vec<f64>]) -> Result<Solution, NoSolution<3>> {
         let shaped = Arc::new(self.cloud.shaped(numbers)?);
         self.solver.equations.conditions = shaped.conditions.clone();
         let rest = || State::at_rest(self.cloud.particles());
@@ -120,7 +100,7 @@ impl SteadyFlow {
         solution: &Solution,
         terms: &[(Figure, f64)],
         wanted: &[(usize, usize)],
-    ) -> Result<Vec<f64>, NoSolution> {
+    ) -> Result<Vec<f64>, NoSolution<3>> {
         let Solution { shaped, state, derivatives } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();

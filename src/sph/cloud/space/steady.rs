@@ -9,7 +9,7 @@ use super::equations::{Derivatives, Equations, State, FLOW, PRESSURE, TEMPERATUR
 use super::linear::{heat_matrix, Border, Linear, System};
 use crate::numerics::incomplete_lu::IncompleteLu;
 use crate::numerics::krylov::gmres_restarted;
-use crate::numerics::sparse_lu::BlockMatrix;
+use crate::numerics::sparse_lu::{BlockMatrix, Singular};
 
 /// The flow rate as a linear function of the state: its value and derivative by u, v, w, p, `[N, 4]`.
 pub trait FlowRate {
@@ -150,7 +150,7 @@ impl Solver {
         let matrix = heat_matrix(&self.equations, state, operators);
         let d = self.equations.derivatives(operators, state);
         let right: Vec<f64> = self.equations.heat_residual(state, &d).iter().map(|x| -x).collect();
-        let change = solve_scalar(&matrix, &right, self.threads).ok_or(NoSteadyState::Singular)?;
+        let change = Scalar::new(matrix, self.threads)?.solve(&right).ok_or(NoSteadyState::Singular)?;
         state.fields[TEMPERATURE].iter_mut().zip(change).for_each(|(t, change)| *t += change);
         Ok(())
     }
@@ -176,7 +176,8 @@ impl Solver {
             if bar[TEMPERATURE].iter().any(|&x| x != 0.0) {
                 let mut matrix = heat_matrix(&self.equations, state, operators);
                 matrix.transpose();
-                y = solve_scalar(&matrix, &bar[TEMPERATURE], self.threads).ok_or(NoSteadyState::Adjoint)?;
+                let system = Scalar::new(matrix, self.threads)?;
+                y = system.solve(&bar[TEMPERATURE]).ok_or(NoSteadyState::Adjoint)?;
                 for i in 0..n {
                     let by = self.equations.heat_by_velocity(&d, &y, i);
                     (0..3).for_each(|e| flow_bar[FLOW * i + e] -= by[e]);
@@ -203,8 +204,25 @@ impl Solver {
 /// Products of a solution with one unknown a particle.
 const PRODUCTS: (usize, usize) = (100, 1000);
 
-/// A x = b for a matrix of one unknown a particle, to rounding.
-pub fn solve_scalar(matrix: &BlockMatrix, right: &[f64], threads: usize) -> Option<Vec<f64>> {
-    let factors = IncompleteLu::<1>::new(matrix).ok()?;
-    gmres_restarted(right, 1e-12, PRODUCTS, &|x| matrix.times_on(x, threads), &|x| factors.solve(x))
+/// A system of one unknown a particle, with its incomplete factors.
+#[derive(Debug)]
+pub struct Scalar {
+    matrix: BlockMatrix,
+    factors: IncompleteLu<1>,
+    threads: usize,
+}
+
+impl Scalar {
+    /// # Errors
+    /// A particle without a diagonal entry.
+    pub fn new(matrix: BlockMatrix, threads: usize) -> Result<Self, Singular> {
+        let factors = IncompleteLu::new(&matrix)?;
+        Ok(Self { matrix, factors, threads })
+    }
+
+    /// The solution to rounding.
+    pub fn solve(&self, right: &[f64]) -> Option<Vec<f64>> {
+        let times = |x: &[f64]| self.matrix.times_on(x, self.threads);
+        gmres_restarted(right, 1e-12, PRODUCTS, &times, &|x| self.factors.solve(x))
+    }
 }
