@@ -1,6 +1,6 @@
 //! `simulate` of fixed particles around shapes whose flow goes on in time.
 
-use super::around_shapes::{fastest, goal, of_objective};
+use super::around_shapes::{fastest, of_objective, suggest_search};
 use super::files;
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
@@ -159,13 +159,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
         folder.display(),
         if heat { ", temperature.png" } else { "" }
     );
-    if !config.variables.is_empty() {
-        println!(
-            "next: hydrograd optimize {}    changes its variables so that the objective becomes {}",
-            loaded.source.argument(),
-            goal(config)
-        );
-    }
+    suggest_search(loaded);
     warn(&record.warnings());
     page::write(folder)?;
     own.finish()

@@ -15,11 +15,10 @@ use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_flow::Flowed;
-use crate::scene::around_shapes::{AroundShapes, Judged};
+use crate::scene::around_shapes::{finer, AroundShapes, Judged};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
-use crate::sph::cloud::placing::Places;
 use crate::sph::cloud::problem::Solution;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
@@ -190,32 +189,40 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
         folder.display(),
         if heat { ", temperature.png" } else { "" }
     );
-    if !config.variables.is_empty() {
-        println!(
-            "next: hydrograd optimize {}    changes its variables so that the objective becomes {}",
-            loaded.source.argument(),
-            goal(config)
-        );
-    }
+    suggest_search(loaded);
     warn(&record.warnings());
     page::write(folder)?;
     own.finish()
 }
 
-fn least_spacing(places: &Places) -> f64 {
-    places.spacing.iter().copied().fold(f64::INFINITY, f64::min)
+/// Prints how many particles of given spacings there are, `inside` of them in the fluid. Returns the least spacing.
+pub fn print_particles(loaded: &Loaded, spacing: &[f64], inside: usize) -> f64 {
+    let config = &loaded.config;
+    let least = spacing.iter().copied().fold(f64::INFINITY, f64::min);
+    println!(
+        "{}: scene {}, {} dimensions, dx {}",
+        loaded.source,
+        config.scene.name(),
+        config.dimension(),
+        config.resolution.dx
+    );
+    println!(
+        "particles           {} in all: {inside} fluid, {} on walls; spacing {least:.2e} at least",
+        spacing.len(),
+        spacing.len() - inside
+    );
+    least
 }
 
-fn print_particles(loaded: &Loaded, places: &Places) {
-    let config = &loaded.config;
-    println!("{}: scene {}, 2 dimensions, dx {}", loaded.source, config.scene.name(), config.resolution.dx);
-    println!(
-        "particles           {} in all: {} fluid, {} on walls; spacing {:.2e} at least",
-        places.place.len(),
-        places.inside,
-        places.boundary.len(),
-        least_spacing(places)
-    );
+/// Says how a scene with variables goes on.
+pub fn suggest_search(loaded: &Loaded) {
+    if !loaded.config.variables.is_empty() {
+        println!(
+            "next: hydrograd optimize {}    changes its variables so that the objective becomes {}",
+            loaded.source.argument(),
+            goal(&loaded.config)
+        );
+    }
 }
 
 /// `hydrograd scenes check`: particles and what they cost, and what looks implausible.
@@ -225,7 +232,8 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let mut around = AroundShapes::new(config)?;
     let placed = clock.elapsed().as_secs_f64();
     if config.unsteady().is_some() {
-        print_particles(loaded, &around.flow.cloud.places);
+        let places = &around.flow.cloud.places;
+        print_particles(loaded, &places.spacing, places.inside);
         println!(
             "method              fixed: a flow in time to t = {}, whose steps are chosen on the way",
             config.time.end
@@ -243,9 +251,8 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     };
     files::plot_scene(folder, ("particles", label), &[("steady", &fields)], &[values], config.resolution.dx)?;
     let places = &around.flow.cloud.places;
-    let least = least_spacing(places);
     let on_walls = places.boundary.len();
-    print_particles(loaded, places);
+    let least = print_particles(loaded, &places.spacing, places.inside);
     println!("method              fixed: a steady flow, no steps in time");
     println!("run time            {seconds:.2} s, of which {placed:.2} s place the particles");
     println!(
@@ -325,100 +332,134 @@ const DEGREES: f64 = 0.05;
 /// In radians, at the end of a flow in time.
 const PHASE: f64 = 0.02;
 
-/// `hydrograd check-gradient`: value and gradient of the steady objective by every variable, and differences beside it.
+/// An objective with its gradient, to be compared with differences.
+pub struct Checked {
+    pub objective: Judged,
+    pub particles: usize,
+    /// Spacing on surfaces.
+    pub surface: f64,
+    pub solve_seconds: f64,
+    pub gradient_seconds: f64,
+    /// What the objective is, in words.
+    pub what: &'static str,
+    /// Largest difference, in the gradient's length.
+    pub tolerance: f64,
+}
+
+impl Checked {
+    /// Compares with differences of `value`, a function of the variables, prints both and writes them into a folder.
+    pub fn compare(
+        self,
+        loaded: &Loaded,
+        folder: &Path,
+        first: &[f64],
+        value: &mut dyn FnMut(&[f64]) -> Result<f64, Error>,
+    ) -> anyhow::Result<()> {
+        let config = &loaded.config;
+        let Self { objective, particles, surface, solve_seconds, gradient_seconds, what, tolerance } = self;
+        let Judged { value: found, by_variables: gradient } = objective;
+        let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
+        let bar = Progress::new(first.len() as u64, "check-gradient");
+        let numbers = config.shape_numbers();
+        let mut differences = vec![];
+        for k in 0..first.len() {
+            interrupt::check()?;
+            let step = match numbers[k].part {
+                Part::Angle => DEGREES,
+                Part::Parameter(_) => 4e-3 * first[k].abs().max(1e-2),
+                _ => STEP * surface,
+            };
+            // Differences of flows in time are not as smooth, and a parameter may be a frequency, which moves phases by so much times the
+            // time.
+            let step = match (config.unsteady(), numbers[k].part) {
+                (None, _) => step,
+                (Some(_), Part::Parameter(_)) => (0.25 * step).min(PHASE / config.time.end),
+                (Some(_), _) => 0.25 * step,
+            };
+            // Richardson's extrapolation of two central differences.
+            let mut central = |step: f64| -> Result<f64, Error> {
+                let mut at = |x: f64| {
+                    let mut moved = first.to_vec();
+                    moved[k] += x;
+                    value(&moved)
+                };
+                Ok((at(step)? - at(-step)?) / (2.0 * step))
+            };
+            let (wide, narrow) = (central(step)?, central(0.5 * step)?);
+            differences.push((4.0 * narrow - wide) / 3.0);
+            bar.done(1);
+        }
+        bar.finish();
+        let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let errors: Vec<f64> = gradient.iter().zip(&differences).map(|(g, d)| (g - d).abs() / norm).collect();
+        let worst = errors.iter().copied().fold(0.0, f64::max);
+        let passed = worst <= tolerance;
+        files::write_config(folder, loaded)?;
+        let mut table = Table::new(["variable", "gradient", "differences", "difference / |gradient|"]);
+        for (k, variable) in config.variables.iter().enumerate() {
+            table.row([
+                variable.number.clone(),
+                format!("{:+.9e}", gradient[k]),
+                format!("{:+.9e}", differences[k]),
+                format!("{:.1e}", errors[k]),
+            ]);
+        }
+        let report = json!({
+            "passed": passed,
+            "tolerance": tolerance,
+            "worst_relative_error": worst,
+            "objective_kind": config.objective.kind,
+            "objective": found,
+            "gradient": gradient,
+            "gradient_norm": norm,
+            "differences": differences,
+            "variables": config.variables.iter().map(|variable| &variable.number).collect::<Vec<_>>(),
+            "solve_seconds": solve_seconds,
+            "gradient_seconds": gradient_seconds,
+        });
+        write_json(&folder.join("gradient_check.json"), &report)?;
+        page::write(folder)?;
+        println!(
+            "{particles} fixed particles, {} variables, {what} {found:.9}, |gradient| = {norm:.4e}; flow in {solve_seconds:.2} s, gradient in {gradient_seconds:.2} s",
+            first.len()
+        );
+        println!("{}", table.to_text());
+        println!("files in {}: gradient_check.json, report.html", folder.display());
+        if !passed {
+            let problem = format!(
+                "the gradient check FAILED: difference {worst:.1e} of the gradient's length, allowed {tolerance:.0e}"
+            );
+            return Err(Error::run(problem, finer(config)).into());
+        }
+        println!("PASSED: difference {worst:.1e} of the gradient's length, allowed {tolerance:.0e}");
+        own.finish()
+    }
+}
+
+/// `hydrograd check-gradient`: value and gradient of the objective by every variable, and differences beside it.
 pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
-    let config = &loaded.config;
     let clock = Instant::now();
-    let mut around = AroundShapes::new(config)?;
+    let mut around = AroundShapes::new(&loaded.config)?;
     let first = around.first();
-    let lap = |clock: Instant| (clock.elapsed().as_secs_f64(), Instant::now());
-    // Steps of a flow in time are chosen once, for all that it is compared with.
     let flow = around.flow(&first, None, &mut |_| ())?;
-    let (solved, clock) = lap(clock);
-    let Judged { value, by_variables: gradient } = around.judged(&flow, &first)?;
+    let solve_seconds = clock.elapsed().as_secs_f64();
+    let objective = around.judged(&flow, &first)?;
+    // Steps of a flow in time are chosen once, for all that it is compared with.
     let sizes = match flow {
         Flowed::Steady(_) => None,
         Flowed::InTime(history) => Some(history.sizes),
     };
-    let seconds = clock.elapsed().as_secs_f64();
-    let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
-    let bar = Progress::new(first.len() as u64, "check-gradient");
-    let numbers = config.shape_numbers();
-    let surface = around.flow.cloud.ground.surface;
-    let mut differences = vec![];
-    for k in 0..first.len() {
-        interrupt::check()?;
-        let step = match numbers[k].part {
-            Part::Angle => DEGREES,
-            Part::Parameter(_) => 4e-3 * first[k].abs().max(1e-2),
-            _ => STEP * surface,
-        };
-        // Differences of flows in time are not as smooth, and a parameter may be a frequency, which moves phases by so much times the time.
-        let step = match (&sizes, numbers[k].part) {
-            (None, _) => step,
-            (Some(_), Part::Parameter(_)) => (0.25 * step).min(PHASE / config.time.end),
-            (Some(_), _) => 0.25 * step,
-        };
-        // Richardson's extrapolation of two central differences.
-        let mut central = |step: f64| -> Result<f64, Error> {
-            let mut at = |x: f64| {
-                let mut moved = first.clone();
-                moved[k] += x;
-                let flow = around.flow(&moved, sizes.as_deref(), &mut |_| ())?;
-                around.objective_of(&flow, &moved)
-            };
-            Ok((at(step)? - at(-step)?) / (2.0 * step))
-        };
-        let (wide, narrow) = (central(step)?, central(0.5 * step)?);
-        differences.push((4.0 * narrow - wide) / 3.0);
-        bar.done(1);
-    }
-    bar.finish();
-    let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
-    let errors: Vec<f64> = gradient.iter().zip(&differences).map(|(g, d)| (g - d).abs() / norm).collect();
-    let worst = errors.iter().copied().fold(0.0, f64::max);
-    let passed = worst <= TOLERANCE;
-    files::write_config(folder, loaded)?;
-    let mut table = Table::new(["variable", "gradient", "differences", "difference / |gradient|"]);
-    for (k, variable) in config.variables.iter().enumerate() {
-        table.row([
-            variable.number.clone(),
-            format!("{:+.9e}", gradient[k]),
-            format!("{:+.9e}", differences[k]),
-            format!("{:.1e}", errors[k]),
-        ]);
-    }
-    let report = json!({
-        "passed": passed,
-        "tolerance": TOLERANCE,
-        "worst_relative_error": worst,
-        "objective_kind": config.objective.kind,
-        "objective": value,
-        "gradient": gradient,
-        "gradient_norm": norm,
-        "differences": differences,
-        "variables": config.variables.iter().map(|variable| &variable.number).collect::<Vec<_>>(),
-        "solve_seconds": solved,
-        "gradient_seconds": seconds,
-    });
-    write_json(&folder.join("gradient_check.json"), &report)?;
-    page::write(folder)?;
-    println!(
-        "{} fixed particles, {} variables, objective {value:.9}, |gradient| = {norm:.4e}; flow in {solved:.2} s, gradient in {seconds:.2} s",
-        around.flow.cloud.particles(),
-        first.len()
-    );
-    println!("{}", table.to_text());
-    println!("files in {}: gradient_check.json, report.html", folder.display());
-    if !passed {
-        return Err(Error::run(
-            format!(
-                "the gradient check FAILED: difference {worst:.1e} of the gradient's length, allowed {TOLERANCE:.0e}"
-            ),
-            around.finer_advice(),
-        )
-        .into());
-    }
-    println!("PASSED: difference {worst:.1e} of the gradient's length, allowed {TOLERANCE:.0e}");
-    own.finish()
+    let checked = Checked {
+        objective,
+        particles: around.flow.cloud.particles(),
+        surface: around.flow.cloud.ground.surface,
+        solve_seconds,
+        gradient_seconds: clock.elapsed().as_secs_f64() - solve_seconds,
+        what: "objective",
+        tolerance: TOLERANCE,
+    };
+    checked.compare(loaded, folder, &first, &mut |moved| {
+        let flow = around.flow(moved, sizes.as_deref(), &mut |_| ())?;
+        around.objective_of(&flow, moved)
+    })
 }
