@@ -25,6 +25,7 @@ mod design_parametrisations;
 mod design_problem;
 mod division;
 mod evaluate;
+mod figure_errors;
 mod fixed_particles;
 mod flows;
 mod formulations;

@@ -44,17 +44,20 @@ fn number(value: &Value) -> f64 {
 /// The checks of a file, whose numbers fit together.
 fn checks(file: &Value) -> Vec<Value> {
     let found = file["verification"].as_array().unwrap().clone();
-    let mut least = f64::INFINITY;
     for check in &found {
         if check["error"].is_null() {
             let gain = number(&check["gain"]);
             assert!((number(&check["q_best"]) / number(&check["q_reference"]) - 1.0 - gain).abs() < 1e-12);
-            least = least.min(gain);
         } else {
             assert!(check["gain"].is_null() && check["q_best"].is_null(), "{check}");
         }
     }
-    assert_eq!(number(&file["gain_survives"]), least);
+    let parts = &file["gain_error_parts"];
+    let error: f64 = ["discretisation", "iteration", "sampling"].iter().map(|part| number(&parts[part])).sum();
+    assert_eq!(number(&file["gain_error"]), error);
+    assert_eq!(file["gain"], found[0]["gain"]);
+    assert!((number(&file["gain_survives"]) - (number(&file["gain"]) - error)).abs() < 1e-15);
+    assert_eq!(file["proved"], number(&file["gain_survives"]) > 0.0);
     found
 }
 
@@ -63,7 +66,9 @@ fn optimize_ends_with_the_checks_and_verify_repeats_them() {
     let folder = TempDir::new().unwrap();
     let at = folder.path();
     let text = succeeds(at, &with(&["optimize"], &["--epochs", "2", "--out", "run"]));
-    for part in CHECKS.iter().chain(&["gain that survives: ", "the least of them", "reference: the first design; "]) {
+    for part in
+        CHECKS.iter().chain(&["gain that survives: ", "the gain less its error", "reference: the first design; "])
+    {
         assert!(text.contains(part), "no `{part}` in {text}");
     }
     let summary = json(&at.join("run/summary.json"));
@@ -324,14 +329,50 @@ fn deep_walls_of_the_standard_formulation_stay_covered() {
     assert!(error.contains("moving particles only"), "{error}");
 }
 
+/// What is left of a gain is the gain less its error, whose parts are those of the checks.
 #[test]
-fn the_least_gain_survives() {
-    let finding = |figures: Result<(f64, f64), String>| Finding { check: "a check".into(), figures, smaller: false };
-    let figure = Figure::of_config(&Config::default());
-    let checks = vec![finding(Ok((1.0, 1.02))), finding(Err("diverged".into())), finding(Ok((2.0, 2.01)))];
-    let mut verified = Verified { figure, reference_name: "the flat wall", checks, seconds: 1.0 };
-    assert!((verified.survives().unwrap() - 0.005).abs() < 1e-12);
-    assert_eq!(verified.failed().count(), 1);
-    verified.checks.retain(|finding| finding.figures.is_err());
-    assert_eq!(verified.survives(), None);
+fn a_gain_survives_less_its_error() {
+    let finding = |kind: Check, figures: Result<(f64, f64), String>| Finding {
+        kind,
+        check: "a check".into(),
+        figures,
+        smaller: false,
+    };
+    let verified = |checks: Vec<Finding>| Verified {
+        figure: Figure::of_config(&Config::default()),
+        finer: 0.5,
+        order: 2.0,
+        moves: false,
+        counts_other: true,
+        reference_name: "the flat wall",
+        checks,
+        seconds: 1.0,
+    };
+    let mut checks = vec![
+        finding(Check::AsOptimised, Ok((1.0, 1.02))),
+        finding(Check::FinerSpacing, Ok((2.0, 2.034))),
+        finding(Check::OtherMotion, Err("diverged".into())),
+        finding(Check::TwiceTime, Ok((1.0, 1.021))),
+    ];
+    let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} is not {b}");
+    let found = verified(checks.clone());
+    // The difference from half the spacing, 0.003, and 1.25 / (2^2 - 1) of it for the error that is left there.
+    let parts = found.error().unwrap();
+    close(parts.discretisation, 0.003 * (1.0 + 1.25 / 3.0));
+    close(parts.iteration, 0.001);
+    close(parts.sampling, 0.0);
+    close(found.survives().unwrap(), 0.02 - parts.total());
+    assert!(found.is_proved() && found.failed().count() == 1);
+    // Particles of the other kind differ by more, and have another seed.
+    checks[2] = finding(Check::OtherMotion, Ok((1.0, 1.04)));
+    checks.push(finding(Check::OtherSeed, Ok((1.0, 1.0402))));
+    let parts = verified(checks.clone()).error().unwrap();
+    close(parts.discretisation, 0.02);
+    close(parts.sampling, 0.0002);
+    assert!(!verified(checks.clone()).is_proved());
+    // Without a finer spacing or other particles nothing is known of the error.
+    checks.retain(|finding| [Check::AsOptimised, Check::TwiceTime].contains(&finding.kind));
+    let found = verified(checks);
+    assert_eq!((found.error(), found.survives(), found.is_proved()), (None, None, false));
+    close(found.gain().unwrap(), 0.02);
 }

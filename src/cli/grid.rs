@@ -11,10 +11,8 @@ use crate::surrogate::training::train::METRICS;
 use serde::{Deserialize, Serialize};
 use std::ffi::{OsStr, OsString};
 use std::io::Read;
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
-use std::time::Duration;
+use std::process::Stdio;
 
 /// More points than this are a slip of the keyboard.
 const MOST_POINTS: usize = 10_000;
@@ -245,7 +243,7 @@ impl Study {
             command.args(["--set", &set]);
         }
         command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log.try_clone()?);
-        let status = attended(&mut command).map_err(|error| {
+        let status = program::attended(&mut command).map_err(|error| {
             let program = self.program.join(OsStr::new(" "));
             Error::run(format!("can not start {}: {error}", program.display()), "check that it is still there")
         })?;
@@ -274,37 +272,6 @@ impl Study {
         let text = serde_json::to_string_pretty(&finished)? + "\n";
         write_bytes_atomically(&folder.join("finished.json"), text.as_bytes())?;
         Ok(PointOutcome::Trained { seconds, validation })
-    }
-}
-
-/// Runs a process that keeps what it has and stops when this one is asked to, and does not outlive it.
-fn attended(command: &mut Command) -> std::io::Result<ExitStatus> {
-    // In a group of its own, Ctrl-C reaches it once, from here.
-    command.process_group(0);
-    #[cfg(target_os = "linux")]
-    {
-        let parent = std::process::id() as libc::pid_t;
-        let with_parent = move || match unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) } {
-            // Gone since the fork: nobody will tell.
-            0 if unsafe { libc::getppid() } != parent => Err(std::io::Error::from_raw_os_error(libc::ESRCH)),
-            0 => Ok(()),
-            _ => Err(std::io::Error::last_os_error()),
-        };
-        // SAFETY: two system calls are all that happens between fork and exec.
-        unsafe { command.pre_exec(with_parent) };
-    }
-    let mut child = command.spawn()?;
-    let mut is_told = false;
-    loop {
-        if let Some(status) = child.try_wait()? {
-            return Ok(status);
-        }
-        if interrupt::asked().is_some() && !is_told {
-            // SAFETY: sends a signal to a process that is ours and not yet waited for.
-            unsafe { libc::kill(child.id() as libc::pid_t, libc::SIGTERM) };
-            is_told = true;
-        }
-        std::thread::sleep(Duration::from_millis(10));
     }
 }
 

@@ -12,6 +12,7 @@ mod completions;
 mod dataset;
 mod evaluate;
 mod explain;
+mod figure_errors;
 mod files;
 mod generate;
 pub mod grid;

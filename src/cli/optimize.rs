@@ -10,7 +10,7 @@ use super::optimize_starts::{check_begun, every_start, share_of_starts, StartNam
 use super::prepare::{open_device, use_threads};
 use super::run_folder::{earlier, is_finished, Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
-use super::{around_optimize, files, optimize_compare, page, verify};
+use super::{around_optimize, figure_errors, files, optimize_compare, page, verify};
 use crate::config::layers::Setting;
 use crate::config::scene::{DynamicsName, Family, Trust};
 use crate::error::{BadInput, Error};
@@ -91,6 +91,9 @@ pub struct OptimizeArguments {
     /// Do not check the gain at another spacing, with other particles, over a longer time and from another seed.
     #[arg(long)]
     pub no_verify: bool,
+    /// Choose the spacing at which the error of the first design's figure is at most this share of it, such as 0.2%.
+    #[arg(long, value_name = "SHARE", value_parser = figure_errors::share, conflicts_with_all = ["resume", "shard"])]
+    pub accuracy: Option<f64>,
     #[command(flatten)]
     pub shard: ShardArgument,
 }
@@ -188,6 +191,13 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     RunFolder::check(&folder, kind, earlier)?;
     let of_share = share.map_or(String::new(), |shard| format!(" --shard {}/{}", shard.index, shard.count));
     interrupt::listen(format!("hydrograd {kind} --resume {}{of_share}", folder.display()))?;
+    let loaded = match arguments.accuracy {
+        None => loaded,
+        Some(accuracy) => {
+            let at = figure_errors::Spacings::default().accurate(&loaded.for_search()?, accuracy)?;
+            loaded.with(&figure_errors::at_spacing(&loaded, at.config.resolution.dx))?
+        }
+    };
     if kind != KIND {
         if share.is_some() {
             check_begun(&folder, &loaded)?;

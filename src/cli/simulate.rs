@@ -2,6 +2,7 @@
 
 use super::arguments::{CommonArguments, ExplainArgument, ResumeArgument};
 use super::explain::explain;
+use super::figure_errors::{self, ErrorArguments, Spacings};
 use super::files::{self, CHECKPOINT};
 use super::guard;
 use super::page;
@@ -62,6 +63,8 @@ pub struct SimulateArguments {
     /// Where the run diverges, go back to the last good state and on with steps of half the length; again, up to four times.
     #[arg(long)]
     pub recover: bool,
+    #[command(flatten)]
+    pub errors: ErrorArguments,
 }
 
 impl SimulateArguments {
@@ -90,7 +93,7 @@ const LAST_GOOD: &str = "last-good.safetensors";
 /// Number of times that steps are halved before a run is given up.
 const HALVINGS: usize = 4;
 
-pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
+pub fn run(mut loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
     let resume = arguments.resume.resume.as_deref();
     let folder = arguments.common.folder(resume, KIND, &loaded)?;
     use_threads(loaded.config.run.threads);
@@ -106,24 +109,43 @@ pub fn run(loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
             .into());
     }
     RunFolder::check(&folder, KIND, earlier(&folder, resume, Earlier::Replaced))?;
+    let ErrorArguments { error, accuracy } = arguments.errors;
+    let mut spacings = Spacings::default();
+    if let Some(accuracy) = accuracy {
+        if resume.is_some() {
+            let problem = "--accuracy chooses a spacing, and a run that goes on has one";
+            return Err(BadInput::new(problem).place("--accuracy").allowed("without --resume").into());
+        }
+        interrupt::listen("hydrograd simulate --accuracy".to_string())?;
+        loaded = spacings.accurate(&loaded, accuracy)?;
+    }
+    simulate(&loaded, &folder, resume, halvings)?;
+    match error || accuracy.is_some() {
+        true => figure_errors::add(&loaded, &folder, &mut spacings),
+        false => Ok(()),
+    }
+}
+
+/// Simulates into a folder.
+fn simulate(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usize) -> anyhow::Result<()> {
     if loaded.config.is_around_shapes() {
         if loaded.config.unsteady().is_some() {
             interrupt::listen("hydrograd simulate".to_string())?;
             if loaded.config.is_periodic_box() {
-                return periodic_box::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
+                return periodic_box::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
             }
-            return around_in_time::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
+            return around_in_time::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
         }
         // It is found anew in a moment.
         if loaded.config.is_around_bodies() {
-            return around_bodies::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
+            return around_bodies::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
         }
-        return around_shapes::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced));
+        return around_shapes::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
     }
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(&loaded, &folder, resume, halvings),
-        Precision::F64 => go::<f64>(&loaded, &folder, resume, halvings),
+        Precision::F32 => go::<f32>(loaded, folder, resume, halvings),
+        Precision::F64 => go::<f64>(loaded, folder, resume, halvings),
     }
 }
 

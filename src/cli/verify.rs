@@ -21,8 +21,8 @@ use std::path::{Path, PathBuf};
 
 /// Evaluate a wall, or the shapes of a scene of one's own, again at half the spacing, with other particles, over twice the time and from another seed.
 ///
-/// What is left of its gain under all of these is a gain of the wall; the rest is one of the solver's error, which an
-/// optimiser finds as readily.
+/// How much the gain changes under these is its error. What is left of it is a gain of the wall; the rest may be one of the
+/// solver's error, which an optimiser finds as readily.
 #[derive(Debug, Clone, Args)]
 #[command(after_long_help = "\
 Examples:
@@ -191,6 +191,17 @@ pub fn of_search(folder: &Path, mut record: Record, verification: &Verification)
     record.0.extend(verified.record().0);
     write_summary(folder, &record)?;
     println!("\nverification: both walls again, with one thing changed\n{}", text_of(&verified));
+    let symbol = verified.figure.symbol;
+    let values: Vec<f64> =
+        record.per_epoch(&format!("{}_per_epoch", symbol.to_lowercase())).into_iter().flatten().flatten().collect();
+    if let ([.., before, last], Some(error)) = (values.as_slice(), verified.error_of_best()) {
+        if (last - before).abs() < error.total() {
+            println!(
+                "the last epoch changed {symbol} by {:.1e}, less than its error: more epochs would gain nothing that could be proved",
+                (last - before).abs()
+            );
+        }
+    }
     Ok(())
 }
 
@@ -208,23 +219,35 @@ fn text_of(verified: &Verified) -> String {
         table.row([finding.check.clone(), reference, best, gain]);
     }
     let mut text = format!("{}\n", table.to_text());
-    let (reference, all, failed) = (verified.reference_name, verified.checks.len(), verified.failed().count());
-    let survives = match verified.survives() {
-        None => "not known".to_string(),
-        Some(gain) if failed == 0 => format!("{}, the least of them", percent(gain)),
-        Some(gain) => format!("{}, the least of the {} checks of {all} that ran", percent(gain), all - failed),
-    };
+    let reference = verified.reference_name;
+    if let (Some(gain), Some(error)) = (verified.gain(), verified.error()) {
+        let proved = if verified.is_proved() { "proved" } else { "NOT PROVED" };
+        let told = error.times(100.0).told();
+        text.push_str(&format!("gain: {} +- {:.2} % ({told}), {proved}\n", percent(gain), 100.0 * error.total()));
+    }
+    if let (Some(value), Some(error)) = (verified.best(), verified.error_of_best()) {
+        text.push_str(&format!("{symbol} of the best: {value:.6} +- {:.1e} ({})\n", error.total(), error.told()));
+    }
+    let survives = verified
+        .survives()
+        .map_or("not known".to_string(), |gain| format!("{}, the gain less its error", percent(gain)));
     text.push_str(&format!("gain that survives: {survives} (reference: {reference}; {:.1} s)", verified.seconds));
     for finding in verified.failed() {
         let why = finding.figures.as_ref().err().map_or("", String::as_str);
         text.push_str(&format!("\nWARNING: the check `{}` failed: {}", finding.check, shown(&with_options(why))));
     }
-    match verified.survives() {
-        Some(gain) if gain <= 0.0 => text.push_str(&format!(
+    match (verified.gain(), verified.survives()) {
+        (Some(gain), _) if gain <= 0.0 => text.push_str(&format!(
             "\nWARNING: no gain survives: this wall is not better than {reference}, whatever the optimiser found"
         )),
-        Some(_) => {}
-        None => text.push_str("\nWARNING: no check could be run: nothing is known of this wall"),
+        (_, Some(gain)) if gain <= 0.0 => text.push_str(
+            "\nWARNING: the gain is within its error: a finer spacing (--dx) would show whether there is one",
+        ),
+        (_, Some(_)) => {}
+        (Some(_), None) => {
+            text.push_str("\nWARNING: the error of the gain is not known: the checks by which it is found did not run")
+        }
+        (None, None) => text.push_str("\nWARNING: no check could be run: nothing is known of this wall"),
     }
     text
 }

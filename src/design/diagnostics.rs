@@ -45,6 +45,9 @@ pub struct Diagnostics {
     /// for few samples, and for a mean of 0.
     pub q_drift: Option<f64>,
     pub flow_rate_drift: Option<f64>,
+    /// What the scatter of their samples leaves open of the means of Q and of the flow rate, for 19 of 20 windows; none for few samples.
+    pub q_sampling: Option<f64>,
+    pub flow_rate_sampling: Option<f64>,
 }
 
 impl Diagnostics {
@@ -226,6 +229,8 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             pumping_power: mean(|it| it.power),
             q_drift: self.drift(|it| it.q),
             flow_rate_drift: self.drift(|it| it.flow),
+            q_sampling: sampling(&self.samples.iter().map(|it| it.q).collect::<Vec<_>>()),
+            flow_rate_sampling: sampling(&self.samples.iter().map(|it| it.flow).collect::<Vec<_>>()),
         }
     }
 }
@@ -239,6 +244,21 @@ pub fn drift(values: &[f64]) -> Option<f64> {
     }
     let drift = (mean(&values[half..]) - mean(&values[..half])) / mean(values);
     Some(drift).filter(|drift| drift.is_finite())
+}
+
+/// Twice the standard error of a mean of samples that depend on each other: the largest one that blocks of 1, 2, 4, ... samples show, as
+/// long as there are eight blocks (Flyvbjerg and Petersen 1989, J. Chem. Phys. 91:461). None for fewer than eight samples.
+pub fn sampling(values: &[f64]) -> Option<f64> {
+    let mut blocks = values.to_vec();
+    let mut found: Option<f64> = None;
+    while blocks.len() >= 8 {
+        let n = blocks.len() as f64;
+        let mean = blocks.iter().sum::<f64>() / n;
+        let square = blocks.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n * (n - 1.0));
+        found = Some(found.unwrap_or(0.0).max(2.0 * square.sqrt()));
+        blocks = blocks.chunks_exact(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect();
+    }
+    found
 }
 
 /// Slope of the least-squares line, 0 for fewer than two points.

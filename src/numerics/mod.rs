@@ -5,6 +5,7 @@ pub mod curve;
 pub mod eigenvalues;
 pub mod exponential;
 pub mod gather;
+pub mod grid_convergence;
 pub mod incomplete_lu;
 pub mod interrupt;
 pub mod krylov;

@@ -18,6 +18,7 @@ pub mod developed;
 pub mod distance;
 pub mod exact;
 pub mod field_map;
+pub mod figure_error;
 pub mod figures;
 mod flaws;
 pub mod flows;

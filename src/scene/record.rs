@@ -33,10 +33,11 @@ pub const FIGURES: [(&str, &str); 11] = [
 ];
 
 /// Figures that exist only with heat.
-const HEAT: [&str; 8] = [
+const HEAT: [&str; 9] = [
     "q",
     "q_sum",
     "q_drift",
+    "q_sampling",
     "mean_outlet_temperature",
     "mean_temperature",
     "wall_heat_flux",
@@ -44,7 +45,16 @@ const HEAT: [&str; 8] = [
     "energy_imbalance",
 ];
 /// Figures that exist only where fluid passes a section.
-const PASSING: [&str; 6] = ["q", "q_sum", "q_drift", "flow_rate", "flow_rate_drift", "mean_outlet_temperature"];
+const PASSING: [&str; 8] = [
+    "q",
+    "q_sum",
+    "q_drift",
+    "q_sampling",
+    "flow_rate",
+    "flow_rate_drift",
+    "flow_rate_sampling",
+    "mean_outlet_temperature",
+];
 
 /// The figures of a run by name, in insertion order. Files of every version can be read: unknown figures are missing.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]

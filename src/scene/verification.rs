@@ -2,10 +2,11 @@
 //!
 //! A wall is given by nodes and offsets, so it is the same at every spacing. Both the best and the reference wall are
 //! run under each [`Check`]; the gain is Q of the best over Q of the reference, minus one. The surviving gain is the
-//! smallest one. A gain of a few tenths of a percent that was found at one spacing, or at the end of one run, may be an
-//! error of the solver that the optimiser has exploited.
+//! gain less its error, see [`Verified::error`]. A gain of a few tenths of a percent that was found at one spacing, or at the
+//! end of one run, may be an error of the solver that the optimiser has exploited.
 
 use super::around_flow::Designed;
+use super::figure_error::{order, Parts};
 use super::load::Loaded;
 use super::record::Record;
 use super::Scene;
@@ -17,6 +18,7 @@ use crate::design::objectives::Figure;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
+use crate::numerics::grid_convergence::{beside_finer, Point};
 use crate::sph::Sweeps;
 use std::time::Instant;
 
@@ -70,13 +72,25 @@ pub struct Verification {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Verified {
     pub figure: Figure,
+    /// The spacing of [`Check::FinerSpacing`] in that of the search.
+    pub finer: f64,
+    /// The order at which figures converge with the spacing.
+    pub order: f64,
+    /// Whether the search's particles move.
+    pub moves: bool,
+    /// Whether the difference from particles of the other kind counts as error by the spacing. It does between walls of a channel, where
+    /// the figures of fixed particles do not approach their limit from one side (src/sph/README.md); not around shapes, where those of
+    /// moving ones are the less accurate.
+    pub counts_other: bool,
     pub reference_name: &'static str,
     pub checks: Vec<Finding>,
     pub seconds: f64,
 }
 
+/// What a check found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
+    pub kind: Check,
     pub check: String,
     /// The figures of the reference and of the best wall, or the error.
     pub figures: Result<(f64, f64), String>,
@@ -90,12 +104,73 @@ impl Finding {
         let sign = if self.smaller { -1.0 } else { 1.0 };
         self.figures.as_ref().ok().map(|(reference, best)| sign * (best - reference) / reference.abs())
     }
+
+    fn best(&self) -> Option<f64> {
+        self.figures.as_ref().ok().map(|(_, best)| *best)
+    }
 }
 
 impl Verified {
-    /// The smallest gain of the checks that ran; none if none did.
+    /// A figure of the checks that ran.
+    fn of(&self, check: Check, value: &dyn Fn(&Finding) -> Option<f64>) -> Option<f64> {
+        self.checks.iter().find(|finding| finding.kind == check).and_then(value)
+    }
+
+    /// The gain as optimised; none if that check failed.
+    pub fn gain(&self) -> Option<f64> {
+        self.of(Check::AsOptimised, &Finding::gain)
+    }
+
+    /// The error of a number that each check has, such as the gain: errors of both walls that are the same cancel in it, since each check
+    /// changes both.
+    ///
+    /// * By the spacing: from half of it ([`beside_finer`]), or the difference from particles of the other kind if that counts and is more.
+    /// * By the distance from the steady state: the change over twice the time.
+    /// * By the sampling: the change with another seed, of moving particles.
+    ///
+    /// None if neither a finer spacing nor other particles were tried.
+    fn error_of(&self, value: &dyn Fn(&Finding) -> Option<f64>) -> Option<Parts> {
+        let here = self.of(Check::AsOptimised, value)?;
+        let other = self.of(Check::OtherMotion, value);
+        let finer = self.of(Check::FinerSpacing, value).and_then(|finer| {
+            let point = |spacing, value| Point { spacing, value };
+            beside_finer(point(1.0, here), point(self.finer, finer), self.order)
+        });
+        let beside = other.filter(|_| self.counts_other).map(|other| (other - here).abs());
+        let longer = self.of(Check::TwiceTime, value);
+        // Another seed is one of moving particles.
+        let sampled = if self.moves { Some(here) } else { other };
+        let seed = self.of(Check::OtherSeed, value).zip(sampled);
+        Some(Parts {
+            discretisation: finer.into_iter().chain(beside).reduce(f64::max)?,
+            iteration: longer.map_or(0.0, |longer| (longer - here).abs()),
+            sampling: seed.map_or(0.0, |(one, other)| (one - other).abs()),
+        })
+    }
+
+    /// The error of the gain.
+    pub fn error(&self) -> Option<Parts> {
+        self.error_of(&Finding::gain)
+    }
+
+    /// The best wall's figure as optimised.
+    pub fn best(&self) -> Option<f64> {
+        self.of(Check::AsOptimised, &Finding::best)
+    }
+
+    /// The error of the best wall's figure.
+    pub fn error_of_best(&self) -> Option<Parts> {
+        self.error_of(&Finding::best)
+    }
+
+    /// The gain less its error; none if one of them is not known.
     pub fn survives(&self) -> Option<f64> {
-        self.checks.iter().filter_map(Finding::gain).reduce(f64::min)
+        Some(self.gain()? - self.error()?.total())
+    }
+
+    /// Whether the gain is larger than its error.
+    pub fn is_proved(&self) -> bool {
+        self.survives().is_some_and(|gain| gain > 0.0)
     }
 
     /// The results as in `summary.json` and `verification.json`.
@@ -115,7 +190,15 @@ impl Verified {
         record.put("verification", self.checks.iter().map(of).collect::<Vec<_>>());
         record.put("verification_reference", self.reference_name);
         record.put("verification_seconds", self.seconds);
+        let error = self.error();
+        record.put("gain", self.gain());
+        record.put("gain_error", error.map(|parts| parts.total()));
+        record.put("gain_error_parts", error);
         record.put("gain_survives", self.survives());
+        record.put("proved", self.is_proved());
+        let of_best = self.error_of_best();
+        record.put(&format!("{name}_error"), of_best.map(|parts| parts.total()));
+        record.put(&format!("{name}_error_parts"), of_best);
         record
     }
 
@@ -170,10 +253,20 @@ impl Verification {
             });
             done += share;
             let smaller = self.loaded.config.objective.goal == Goal::Smaller;
-            checks.push(Finding { check: name, figures: found.map_err(|e| e.to_string()), smaller });
+            checks.push(Finding { kind: check, check: name, figures: found.map_err(|e| e.to_string()), smaller });
         }
         let figure = Figure::of_config(&self.loaded.config);
-        Ok(Verified { figure, reference_name: self.reference_name, checks, seconds: clock.elapsed().as_secs_f64() })
+        let config = &self.loaded.config;
+        Ok(Verified {
+            figure,
+            finer: config.finer_spacing() / config.resolution.dx,
+            order: order(config),
+            moves: config.method.facts().moves,
+            counts_other: config.scene.has_design(),
+            reference_name: self.reference_name,
+            checks,
+            seconds: clock.elapsed().as_secs_f64(),
+        })
     }
 
     pub fn pair(&self, check: Check) -> Result<Pair, Error> {

@@ -103,9 +103,8 @@ fn around_shapes(folder: &Folder, config: &Config, summary: &Record, mut page: P
         100.0 * (best / first - 1.0),
         counted(epochs, "epoch")
     );
-    page.remark = number("gain_survives").map_or(String::new(), |gain| {
-        format!("{:+.2}\u{a0}% survives with particles placed anew and at a finer spacing.", 100.0 * gain)
-    });
+    page.remark = number("gain_survives")
+        .map_or(String::new(), |gain| format!("{:+.2}\u{a0}% survives, the gain less its error.", 100.0 * gain));
     for (key, title) in [
         ("flow_rate", "flow rate"),
         ("particles", "particles"),
@@ -141,14 +140,14 @@ fn remark(search: &Search, summary: &Record) -> String {
     match search.survives {
         Some(gain) if gain > 0.0 => {
             format!(
-                "{:+.2}\u{a0}% survives, the least of {} at another spacing, with other particles and \
+                "{:+.2}\u{a0}% survives: the gain less its error, by {} at another spacing, with other particles and \
                  over a longer time.",
                 100.0 * gain,
                 counted(checks, "check")
             )
         }
-        Some(_) => "But no gain survives the checks: the wall is not better, whatever the optimiser found.".into(),
-        None if checks > 0 => "No check of it could be run.".into(),
+        Some(_) => "But the gain is not proved: it is not larger than its error.".into(),
+        None if checks > 0 => "Its error is not known: checks could not be run.".into(),
         None => "The gain was not checked: hydrograd verify with this folder does that.".into(),
     }
 }
@@ -268,8 +267,11 @@ pub fn verification(title: &str, symbol: &str, summary: &Record, is_steady: bool
     let reference = summary.text("verification_reference").unwrap_or_default();
     let survives = summary.number("gain_survives");
     let least = survives.map_or("not known".into(), |gain| format!("{:+.2}\u{a0}%", 100.0 * gain));
+    let error = summary.number("gain").zip(summary.number("gain_error")).map_or(String::new(), |(gain, error)| {
+        format!(" Gain: {:+.2} \u{b1} {:.2}\u{a0}%.", 100.0 * gain, 100.0 * error)
+    });
     table.note = format!(
-        "Both walls again, each time with one thing changed. Gain that survives: {least}. Reference: {reference}."
+        "Both walls again, each time with one thing changed.{error} Gain that survives its error: {least}. Reference: {reference}."
     );
     if is_steady {
         table.note.push_str(&format!(
@@ -324,6 +326,7 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     if let Some(recovered) = summary.rows("recovered").filter(|all| !all.is_empty()) {
         page.tables.extend(tables::of_objects("Where the run diverged, and went on", recovered));
     }
+    page.tables.extend(errors(&summary));
     page.tables.push(tables::of_scalars("Figures", &summary.0));
     page.tables
         .extend(summary.rows("shapes").and_then(|all| tables::of_objects("Shapes, in the order of the file", all)));
@@ -331,6 +334,20 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
         page.texts.push(plan(config, false)?);
     }
     Ok(page)
+}
+
+/// Figures with their errors; none if these were not asked for.
+fn errors(summary: &Record) -> Option<Table> {
+    let errors = summary.rows("errors").filter(|errors| !errors.is_empty())?;
+    let mut table = Table::new("Errors of figures", ["figure", "value", "\u{b1}", "share"]);
+    for one in errors {
+        if let (Some(value), Some(error)) = (number(one, "value"), number(one, "error")) {
+            let cells = [Cell::number(value), rounded(Cell::number(error), 2), percent(error / value.abs())];
+            table.row(text(one, "name"), cells);
+        }
+    }
+    table.note = "19 of 20 are smaller, as far as coarser spacings show.".into();
+    Some(table)
 }
 
 /// A constant wall as a chart.

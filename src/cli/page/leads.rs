@@ -128,12 +128,14 @@ pub fn verify(found: &Record) -> (String, String) {
     let reference = found.text("verification_reference").unwrap_or("its reference");
     let lead = match found.number("gain_survives") {
         Some(gain) if gain > 0.0 => {
-            format!("The gain of {wall} over {reference} holds: {:+.2}\u{a0}% survives.", 100.0 * gain)
+            format!("The gain of {wall} over {reference} holds: {:+.2}\u{a0}% survives its error.", 100.0 * gain)
         }
-        Some(gain) => format!("No gain of {wall} over {reference} survives: {:+.2}\u{a0}% at the least.", 100.0 * gain),
-        None => format!("No check of {wall} could be run."),
+        Some(gain) => {
+            format!("No gain of {wall} over {reference} is proved: less its error it is {:+.2}\u{a0}%.", 100.0 * gain)
+        }
+        None => format!("The error of the gain of {wall} is not known."),
     };
-    (lead, format!("The least of {}, each with one thing changed.", counted(checks, "check")))
+    (lead, format!("By {}, each with one thing changed.", counted(checks, "check")))
 }
 
 /// The errors of a rollout by step, from its frames: of positions and of temperatures.

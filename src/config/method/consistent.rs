@@ -27,6 +27,7 @@ pub const FACTS: Facts = Facts {
     lines_up: false,
     against_crowds: "method.shift_strength=3",
     first_particle: 0.5,
+    order: 2.0,
 };
 
 section! {

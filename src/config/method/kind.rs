@@ -43,6 +43,8 @@ pub struct Facts {
     /// Distance between a shaped wall and the nearest particle, in spacings, which shortens the kernel's reach behind
     /// it.
     pub first_particle: f64,
+    /// The order at which figures converge with the spacing, as far as their errors count on it.
+    pub order: f64,
 }
 
 impl Facts {

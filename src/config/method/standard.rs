@@ -27,6 +27,7 @@ pub const FACTS: Facts = Facts {
     lines_up: true,
     against_crowds: "method.transport_velocity=1, or method.name=consistent",
     first_particle: 0.0,
+    order: 1.0,
 };
 
 section! {

@@ -418,8 +418,9 @@ class Scene:
             progress: as for :meth:`value_and_gradient`.
 
         Returns:
-            What ``verification.json`` has: ``verification`` (a list of checks, each with both objectives and the ``gain``) and
-            ``gain_survives``, the least of the gains.
+            What ``verification.json`` has: ``verification`` (a list of checks, each with both objectives and the ``gain``), ``gain``,
+            ``gain_error`` with its parts ``gain_error_parts``, ``gain_survives``, the gain less its error, and whether it is ``proved``;
+            ``q_error``, the error of the best design's objective.
         """
         return dict(json.loads(self._native.verify(_numbers(best), None if first is None else _numbers(first), progress)))
 

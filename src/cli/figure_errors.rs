@@ -1,0 +1,232 @@
+//! `simulate --error` and `--accuracy`: the same scene at coarser spacings, what this says of the error of every figure, and the spacing at
+//! which an error is as small as it is asked to be.
+
+use super::files::write_summary;
+use super::{page, program};
+use crate::config::layers::Setting;
+use crate::config::scene::Config;
+use crate::error::{BadInput, Error};
+use crate::numerics::interrupt;
+use crate::report::progress::Progress;
+use crate::report::table::Table;
+use crate::scene::figure_error::{errors, main_figure, order, FigureError};
+use crate::scene::load::Loaded;
+use crate::scene::record::Record;
+use clap::Args;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::Instant;
+
+/// Coarser spacings over the scene's, those that are wanted most first: one of the first and one of the second list.
+const RATIOS: [&[f64]; 2] = [&[1.25, 1.34, 1.42, 1.2], &[1.67, 2.0, 1.75, 1.5]];
+/// Two spacings that differ by less than this share are the same.
+const SAME: f64 = 0.04;
+/// How often `--accuracy` tries another spacing.
+const TRIES: usize = 4;
+/// The error that a new spacing is to have, in the error that is asked for.
+const AIM: f64 = 0.8;
+/// The smallest spacing that is tried, in the scene's.
+const FINEST: f64 = 1.0 / 8.0;
+
+/// The options of errors.
+#[derive(Debug, Clone, Args)]
+pub struct ErrorArguments {
+    /// Find the error of every figure: the scene runs at two coarser spacings, too, which takes about as long again at most.
+    #[arg(long)]
+    pub error: bool,
+    /// Choose the spacing at which the error of the first figure (Q, or the objective) is at most this share of it, such as 0.1%.
+    #[arg(long, value_name = "SHARE", value_parser = share)]
+    pub accuracy: Option<f64>,
+}
+
+/// `0.1%` or `0.001`.
+pub fn share(text: &str) -> Result<f64, String> {
+    let (number, unit) = match text.strip_suffix('%') {
+        Some(number) => (number.trim(), 0.01),
+        None => (text, 1.0),
+    };
+    match number.parse::<f64>().map(|number| unit * number) {
+        Ok(share) if share > 0.0 && share < 1.0 => Ok(share),
+        _ => Err("allowed: a share between 0 and 1, such as 0.1% or 0.001".into()),
+    }
+}
+
+/// Runs of one scene at several spacings; each is made once.
+#[derive(Default)]
+pub struct Spacings {
+    known: Vec<(f64, Result<Record, String>)>,
+}
+
+impl Spacings {
+    /// The record of a run.
+    fn run(&mut self, loaded: &Loaded) -> anyhow::Result<Result<Record, String>> {
+        let dx = loaded.config.resolution.dx;
+        if let Some((_, found)) = self.known.iter().find(|(known, _)| (known / dx - 1.0).abs() < 1e-9) {
+            return Ok(found.clone());
+        }
+        let folder = tempfile::tempdir()?;
+        let (scene, out) = (folder.path().join("scene.toml"), folder.path().join("run"));
+        std::fs::write(&scene, &loaded.text)?;
+        let mut command = program::command(&program::words()?);
+        command.arg("simulate").arg(&scene).arg("--out").arg(&out).args(["--set", "output.frames=0"]);
+        let log = tempfile::NamedTempFile::new()?;
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log.reopen()?);
+        let status = program::attended(&mut command)?;
+        interrupt::check()?;
+        let found = match status.success() {
+            true => Ok(serde_json::from_slice(&std::fs::read(out.join("summary.json"))?)?),
+            false => Err(std::fs::read_to_string(log.path())?.trim().to_string()),
+        };
+        self.known.push((dx, found.clone()));
+        Ok(found)
+    }
+
+    /// The records at two coarser spacings that suit the scene.
+    fn coarser(&mut self, loaded: &Loaded) -> anyhow::Result<Vec<(f64, Record)>> {
+        let own = coarser_spacings(loaded);
+        let bar = Progress::new(own.len() as u64, "coarser spacings");
+        let (mut found, mut failure) = (vec![], None);
+        for one in &own {
+            match self.run(one)? {
+                Ok(record) => found.push((one.config.resolution.dx, record)),
+                Err(why) => failure = Some(why),
+            }
+            bar.done(1);
+        }
+        bar.finish();
+        if found.is_empty() {
+            let why = match failure {
+                Some(why) => format!(": {}", why.lines().next().unwrap_or_default()),
+                None => String::new(),
+            };
+            let problem = format!("no error is known, for the scene cannot be run at a coarser spacing{why}");
+            let config = &loaded.config;
+            return Err(Error::run(problem, config.finer(0.5 * config.resolution.dx)).into());
+        }
+        Ok(found)
+    }
+
+    /// The errors of the figures of a run.
+    fn errors(&mut self, loaded: &Loaded, record: &Record) -> anyhow::Result<Vec<FigureError>> {
+        let coarser = self.coarser(loaded)?;
+        Ok(errors(&loaded.config, record, &coarser))
+    }
+
+    /// The scene with the largest spacing that was found at which the first figure has no larger relative error than `accuracy`.
+    ///
+    /// # Errors
+    /// There is none down to an eighth of the scene's spacing.
+    pub fn accurate(&mut self, loaded: &Loaded, accuracy: f64) -> anyhow::Result<Loaded> {
+        let order = order(&loaded.config);
+        let (mut at, mut best) = (loaded.clone(), None::<Loaded>);
+        let mut last = f64::NAN;
+        for _ in 0..TRIES {
+            let dx = at.config.resolution.dx;
+            let record = self.run(&at)?.map_err(|why| {
+                let problem = format!("the scene does not run at a spacing of {dx}: {}", first_line(&why));
+                Error::run(problem, "another resolution.dx to begin with")
+            })?;
+            let all = self.errors(&at, &record)?;
+            let Some(main) = all.iter().find(|one| Some(&one.name) == main_figure(&record).as_ref()) else {
+                let problem = "the scene has no figure whose error could be as small as that";
+                return Err(BadInput::new(problem).place("--accuracy").allowed("scenes with an objective").into());
+            };
+            last = main.error / main.value.abs();
+            println!("spacing {dx:.6}: {} {:.6} +- {:.1e} ({:.2} %)", main.name, main.value, main.error, 100.0 * last);
+            let finer = best.as_ref().is_none_or(|best| dx > best.config.resolution.dx);
+            if last <= accuracy && finer {
+                best = Some(at.clone());
+            }
+            let next = (dx * (AIM * accuracy / last).powf(1.0 / order)).max(FINEST * loaded.config.resolution.dx);
+            // A larger one saves time only if it is much larger.
+            if best.is_some() && next < 1.2 * dx {
+                break;
+            }
+            let next = match loaded.config.spacing_up_to(next) {
+                Some(spacing) => spacing,
+                None => next,
+            };
+            match loaded.with(&at_spacing(loaded, next)) {
+                Ok(other) if (next / dx - 1.0).abs() > SAME => at = other,
+                _ => break,
+            }
+        }
+        best.ok_or_else(|| {
+            let problem = format!(
+                "an accuracy of {:.2} % was not reached: the last error is {:.2} %",
+                100.0 * accuracy,
+                100.0 * last
+            );
+            Error::run(problem, format!("--accuracy {:.1}%, or a smaller resolution.dx to begin with", 100.0 * last))
+                .into()
+        })
+    }
+}
+
+fn first_line(text: &str) -> &str {
+    text.lines().next().unwrap_or_default()
+}
+
+/// The settings of another spacing, over the same time.
+pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
+    std::iter::once(Setting::set(&format!("resolution.dx={dx}"))).chain(loaded.same_time()).collect()
+}
+
+/// The scene at up to two coarser spacings that it allows.
+fn coarser_spacings(loaded: &Loaded) -> Vec<Loaded> {
+    let config: &Config = &loaded.config;
+    let dx = config.resolution.dx;
+    let mut found: Vec<Loaded> = vec![];
+    for ratios in RATIOS {
+        let one = ratios.iter().find_map(|ratio| {
+            // A lattice fits some spacings only.
+            let near = config.spacing_up_to((ratio + SAME) * dx).filter(|_| !config.is_around_shapes());
+            let spacing = near.unwrap_or(ratio * dx);
+            let largest = found.last().map_or(dx, |last| last.config.resolution.dx);
+            (spacing > (1.0 + 2.0 * SAME) * largest).then(|| loaded.with(&at_spacing(loaded, spacing)).ok()).flatten()
+        });
+        found.extend(one);
+    }
+    found
+}
+
+/// Adds the errors of the figures to a finished run, and prints them.
+pub fn add(loaded: &Loaded, folder: &Path, spacings: &mut Spacings) -> anyhow::Result<()> {
+    let clock = Instant::now();
+    let file = folder.join("summary.json");
+    let mut record: Record = serde_json::from_slice(&std::fs::read(file)?)?;
+    let found = spacings.errors(loaded, &record)?;
+    put(&mut record, &found);
+    record.put("error_seconds", clock.elapsed().as_secs_f64());
+    write_summary(folder, &record)?;
+    page::refresh(folder)?;
+    match found.is_empty() {
+        true => println!("\nerrors: no figure changes with the spacing"),
+        false => println!("\nerrors (19 of 20 are smaller)\n{}", table(&found).to_text()),
+    }
+    Ok(())
+}
+
+/// Adds errors to a record: all of them, and those of Q and the objective under names of their own.
+pub fn put(record: &mut Record, found: &[FigureError]) {
+    for one in found.iter().filter(|one| ["q", "objective"].contains(&one.name.as_str())) {
+        record.put(&format!("{}_error", one.name), one.error);
+        record.put(&format!("{}_error_parts", one.name), one.parts);
+    }
+    record.put("errors", found);
+}
+
+fn table(found: &[FigureError]) -> Table {
+    let mut table = Table::new(["figure", "value", "+-", "share", "of which", "order seen"]);
+    for FigureError { name, value, error, parts, observed_order } in found {
+        table.row([
+            name.clone(),
+            format!("{value:.6}"),
+            format!("{error:.1e}"),
+            format!("{:.2} %", 100.0 * error / value.abs()),
+            parts.told(),
+            observed_order.map_or("none".into(), |order| format!("{order:.1}")),
+        ]);
+    }
+    table
+}

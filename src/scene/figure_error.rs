@@ -1,0 +1,169 @@
+//! The error of each figure of a run: by its spacing, by the distance from the steady state, and by the sampling of moving particles.
+//!
+//! The part by the spacing follows from the same run at coarser spacings ([`grid_convergence`]). Two runs may agree in one figure by
+//! chance, so no figure has less than half of the relative error that the run's figures have in the middle ([`POOLED`]).
+//!
+//! The error is meant as one that 19 of 20 true errors do not exceed; `python3 scripts/figures.py errors` compares it with finite
+//! elements and exact solutions.
+
+use super::record::Record;
+use crate::config::scene::Config;
+use crate::numerics::grid_convergence::{at_finest, observed_order, Point};
+use serde::Serialize;
+use serde_json::Value;
+
+/// Figures that have an error; of each shape those of [`OF_SHAPES`].
+const FIGURES: [&str; 17] = [
+    "q",
+    "objective",
+    "flow_rate",
+    "wall_heat_flux",
+    "mean_outlet_temperature",
+    "mean_temperature",
+    "u_max",
+    "body_force",
+    "pumping_power",
+    "heat_outflow",
+    "pressure_drop",
+    "dissipation",
+    "kinetic_energy",
+    "largest_velocity",
+    "nusselt",
+    "heat_of_shapes",
+    "wall_flux",
+];
+const OF_SHAPES: [&str; 3] = ["force", "torque", "heat"];
+/// The least relative error of a figure, in the median one of its run.
+const POOLED: f64 = 0.5;
+/// Relative changes below this are rounding, or the tolerance of an iteration.
+const ROUNDING: f64 = 1e-7;
+
+/// What the error of a figure consists of. The whole error is their sum.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Parts {
+    /// By the spacing of particles, with the time step that belongs to it.
+    pub discretisation: f64,
+    /// By the distance from the steady state.
+    pub iteration: f64,
+    /// By the sampling of particles that move.
+    pub sampling: f64,
+}
+
+impl Parts {
+    pub fn total(&self) -> f64 {
+        self.discretisation + self.iteration + self.sampling
+    }
+
+    /// Each part times a factor.
+    pub fn times(&self, factor: f64) -> Self {
+        Self {
+            discretisation: factor * self.discretisation,
+            iteration: factor * self.iteration,
+            sampling: factor * self.sampling,
+        }
+    }
+
+    /// The parts that are not zero, in words.
+    pub fn told(&self) -> String {
+        let of = [("spacing", self.discretisation), ("not yet steady", self.iteration), ("sampling", self.sampling)];
+        let some = of.iter().filter(|(_, part)| *part > 0.0).map(|(name, part)| format!("{name} {part:.1e}"));
+        some.collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// A figure with its error.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FigureError {
+    pub name: String,
+    pub value: f64,
+    pub error: f64,
+    pub parts: Parts,
+    /// The order of convergence that the spacings show; none where the figure does not approach a limit from one side.
+    pub observed_order: Option<f64>,
+}
+
+/// The order at which figures of a configuration converge with the spacing.
+pub fn order(config: &Config) -> f64 {
+    // Around bodies in space figures were seen to converge with the first order only (src/sph/README.md).
+    match config.is_around_shapes() && !config.is_around_bodies() {
+        true => 2.0,
+        false => config.method.facts().order,
+    }
+}
+
+/// The figures of a record by name, such as `q` and `shapes[2].force[0]`.
+pub fn figures(record: &Record) -> Vec<(String, f64)> {
+    fn add(name: &str, value: &Value, to: &mut Vec<(String, f64)>) {
+        match value {
+            Value::Number(number) => to.extend(number.as_f64().map(|number| (name.to_string(), number))),
+            Value::Array(all) => {
+                all.iter().enumerate().for_each(|(k, value)| add(&format!("{name}[{k}]"), value, to));
+            }
+            _ => {}
+        }
+    }
+    let mut found = vec![];
+    for name in FIGURES {
+        record.0.get(name).into_iter().for_each(|value| add(name, value, &mut found));
+    }
+    for (k, shape) in record.rows("shapes").into_iter().flatten().enumerate() {
+        for name in OF_SHAPES {
+            add(&format!("shapes[{k}].{name}"), &shape[name], &mut found);
+        }
+    }
+    found
+}
+
+/// The most important figure of a record: the objective where there is one.
+pub fn main_figure(record: &Record) -> Option<String> {
+    figures(record).into_iter().next().map(|(name, _)| name)
+}
+
+/// The errors of the figures of a run, given the records of the same at coarser spacings.
+pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Vec<FigureError> {
+    let order = order(config);
+    let coarser: Vec<(f64, Vec<(String, f64)>)> =
+        coarser.iter().map(|(spacing, record)| (*spacing, figures(record))).collect();
+    let mut found = vec![];
+    for (name, value) in figures(record) {
+        let finest = Point { spacing: config.resolution.dx, value };
+        let points: Vec<Point> = coarser
+            .iter()
+            .filter_map(|(spacing, figures)| {
+                let (_, value) = figures.iter().find(|(other, _)| *other == name)?;
+                Some(Point { spacing: *spacing, value: *value })
+            })
+            .collect();
+        // A figure that is given, such as the body force, does not change.
+        if points.iter().all(|point| (point.value - value).abs() <= ROUNDING * value.abs()) {
+            continue;
+        }
+        let Some(discretisation) = at_finest(finest, &points, order) else { continue };
+        let parts = Parts { discretisation, ..of_window(config, record, &name, value) };
+        found.push(FigureError { observed_order: observed_order(finest, &points), error: 0.0, name, value, parts });
+    }
+    let relative = |one: &FigureError| one.parts.discretisation / one.value.abs();
+    let mut all: Vec<f64> = found.iter().map(relative).filter(|share| share.is_finite()).collect();
+    all.sort_by(f64::total_cmp);
+    let least = all.get(all.len() / 2).map_or(0.0, |median| POOLED * median);
+    for one in &mut found {
+        one.parts.discretisation = one.parts.discretisation.max(least * one.value.abs());
+        one.error = one.parts.total();
+    }
+    found
+}
+
+/// What the averages over the window say of their own error: the change from its first to its second half where the flow is to become
+/// steady, and what their samples' scatter makes of the mean.
+fn of_window(config: &Config, record: &Record, name: &str, value: f64) -> Parts {
+    let averaged = ["q", "flow_rate"]
+        .into_iter()
+        .find(|of| *of == name || (name == "objective" && record.number(of) == Some(value)));
+    let of =
+        |what: &str| averaged.and_then(|averaged| record.number(&format!("{averaged}_{what}"))).map_or(0.0, f64::abs);
+    Parts {
+        discretisation: 0.0,
+        iteration: if config.settles() { of("drift") * value.abs() } else { 0.0 },
+        sampling: if config.method.facts().moves { of("sampling") } else { 0.0 },
+    }
+}

@@ -1,0 +1,121 @@
+//! Errors of figures: by the spacing, by the scatter of samples, and the spacing that an accuracy needs.
+
+use crate::support::program::{hydrograd, succeeds};
+use hydrograd::config::scene::Config;
+use hydrograd::design::diagnostics::sampling;
+use hydrograd::numerics::grid_convergence::{at_finest, beside_finer, observed_order, Point};
+use hydrograd::numerics::random::{stream, Normal};
+use hydrograd::scene::figure_error::{errors, figures};
+use hydrograd::scene::record::Record;
+use serde_json::{json, Value};
+use std::path::Path;
+
+/// f(h) = 2 + 3 h^p.
+fn point(spacing: f64, order: f64) -> Point {
+    Point { spacing, value: 2.0 + 3.0 * spacing.powf(order) }
+}
+
+#[test]
+fn the_error_of_a_power_of_the_spacing_is_found_with_its_factor_of_safety() {
+    for order in [1.0, 1.5, 2.0, 4.0] {
+        let [fine, middle, coarse] = [0.1, 0.125, 0.2].map(|spacing| point(spacing, order));
+        let truth = fine.value - 2.0;
+        let found = at_finest(fine, &[middle, coarse], order).unwrap();
+        assert!((found / truth - 1.25).abs() < 1e-12, "order {order}: {found} of {truth}");
+        assert!((observed_order(fine, &[coarse, middle]).unwrap() - order).abs() < 1e-9);
+        // What a finer spacing says of a coarser one is no less than its error.
+        let found = beside_finer(coarse, fine, order).unwrap();
+        assert!(found >= coarse.value - 2.0 && found < 1.3 * (coarse.value - 2.0), "order {order}: {found}");
+    }
+    assert_eq!(at_finest(point(0.1, 1.0), &[], 1.0), None);
+    // Values on both sides have no order.
+    let at = |spacing, value| Point { spacing, value };
+    assert_eq!(observed_order(at(1.0, 0.0), &[at(1.25, 1.0), at(2.0, -1.0)]), None);
+    assert_eq!(observed_order(at(1.0, 0.0), &[at(1.25, 1.0)]), None);
+}
+
+/// Means of a first-order autoregressive process lie within the error in about 19 of 20 cases.
+#[test]
+fn the_error_of_a_mean_knows_that_samples_depend_on_each_other() {
+    let mut random = Normal::new(stream(3, "figure errors"));
+    let (mut inside, cases) = (0, 400);
+    for _ in 0..cases {
+        let mut x = 0.0;
+        let values: Vec<f64> = (0..512)
+            .map(|_| {
+                x = 0.7 * x + random.next();
+                x
+            })
+            .collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        inside += usize::from(mean.abs() <= sampling(&values).unwrap());
+    }
+    assert!((0.88..=1.0).contains(&(inside as f64 / cases as f64)), "{inside} of {cases}");
+    assert_eq!(sampling(&[1.0; 7]), None);
+    assert_eq!(sampling(&[1.0; 64]), Some(0.0));
+}
+
+#[test]
+fn figures_that_agree_by_chance_have_an_error_too() {
+    let record = |flow: f64, force: f64, heat: f64| -> Record {
+        serde_json::from_value(json!({
+            "flow_rate": flow, "body_force": 1.0, "shapes": [{ "force": [force, 0.0], "heat": heat }], "warnings": [],
+        }))
+        .unwrap()
+    };
+    let config = Config::load(Some("heated-channel"), None, &["resolution.dx=0.02".into()]).unwrap().config;
+    let coarser = [(0.04, record(1.0, 2.04, 4.0)), (0.03, record(1.0, 2.02, 3.9999999999))];
+    let found = errors(&config, &record(1.0 + 1e-5, 2.0, 4.0), &coarser);
+    let of = |name: &str| found.iter().find(|one| one.name == name);
+    let names: Vec<String> = figures(&record(1.0, 2.0, 4.0)).into_iter().map(|(name, _)| name).collect();
+    assert_eq!(names, ["flow_rate", "body_force", "shapes[0].force[0]", "shapes[0].force[1]", "shapes[0].heat"]);
+    // 0.02 at 1.5 spacings, and 0.04 at 2: the first says more.
+    let force = of("shapes[0].force[0]").unwrap();
+    assert!((force.error - 1.25 * 0.02 / 1.25).abs() < 1e-12, "{force:?}");
+    // What is given, and what is zero, has no error.
+    assert!(of("body_force").is_none() && of("shapes[0].force[1]").is_none());
+    // The flow rate hardly changes; the median of the relative errors is that of the force.
+    let flow = of("flow_rate").unwrap();
+    assert!((flow.error / flow.value - 0.5 * force.error / force.value).abs() < 1e-12, "{flow:?}");
+}
+
+fn summary(folder: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
+}
+
+/// A coarse flow around a disc, whose figures are nearer to those of a fine one than their errors.
+#[test]
+fn true_errors_are_within_those_that_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene =
+        "scene = \"custom\"\nmethod.name = \"fixed\"\nregion = { size = [1.0, 0.4], periodic = [true, false] }\n\
+        fluid = { viscosity = 0.01 }\n[[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.2]\nradius = 0.06\n";
+    std::fs::write(at.join("disc.toml"), scene).unwrap();
+    let text = succeeds(at, &["simulate", "disc.toml", "--dx", "0.03", "--error", "--out", "coarse"]);
+    assert!(text.contains("errors (19 of 20 are smaller)"), "{text}");
+    succeeds(at, &["simulate", "disc.toml", "--dx", "0.01", "--out", "fine"]);
+    let (coarse, fine) = (summary(&at.join("coarse")), summary(&at.join("fine")));
+    let all = coarse["errors"].as_array().unwrap();
+    for name in ["flow_rate", "dissipation"] {
+        let one = all.iter().find(|one| one["name"] == name).unwrap();
+        let (value, error) = (one["value"].as_f64().unwrap(), one["error"].as_f64().unwrap());
+        let truth = (value - fine[name].as_f64().unwrap()).abs();
+        assert!(truth < error && error < 20.0 * truth, "{name}: {error} for {truth}");
+    }
+    assert_eq!(coarse["objective_error"], all.iter().find(|one| one["name"] == "objective").unwrap()["error"]);
+    let page = std::fs::read_to_string(at.join("coarse/report.html")).unwrap();
+    assert!(page.contains("Errors of figures"));
+
+    // An accuracy chooses the spacing.
+    let text = succeeds(at, &["simulate", "disc.toml", "--dx", "0.03", "--accuracy", "0.4%", "--out", "accurate"]);
+    let found = summary(&at.join("accurate"));
+    let share = found["objective_error"].as_f64().unwrap() / found["objective"].as_f64().unwrap();
+    assert!(share <= 0.004 && found["particles"].as_u64() > coarse["particles"].as_u64(), "{share}: {text}");
+    let truth = (found["objective"].as_f64().unwrap() / fine["objective"].as_f64().unwrap() - 1.0).abs();
+    assert!(truth < 0.004, "{truth}");
+
+    let refused = hydrograd(at, &["simulate", "disc.toml", "--accuracy", "3"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("0.1% or 0.001"));
+}
