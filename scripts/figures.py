@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around; summary writes the
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around errors; summary writes the
 fields of summary.json from data/summary.toml; busy is busy.py. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate. `pictures` and `pictures-slow` make the pictures (pictures.py).
@@ -280,6 +280,58 @@ def shapes():
     return table(["", "walls", "error of Q, mean", "worst", "worst error of Q / Q flat", "flow rate / that of FEM, mean", "diverged"], rows)
 
 
+def errors():
+    """Errors that `simulate --error` finds beside the true ones: how many are larger, and how much too large they are in the middle."""
+    def of(name, *arguments):
+        folder = run(name, "simulate", *arguments, "--error", *sets(output__frames=0), allow_failure=True)
+        return load(folder) if folder else None
+
+    def found(s, name):
+        return next(((one["error"], one["value"]) for one in s["errors"] if one["name"] == name), None)
+
+    groups = {}
+
+    def add(group, s, name, truth):
+        one = found(s, name) if s else None
+        if one:
+            groups.setdefault(group, []).append((one[0] / max(abs(one[1] - truth), 1e-12), abs(one[1] / truth - 1), one[0] / abs(truth)))
+
+    with open(SHAPES) as file:
+        walls = list(csv.DictReader(file))
+    for method, label in (("consistent", "51 walls, moving particles, dx 0.02: Q"), ("fixed", "51 walls, fixed particles, dx 0.02: Q")):
+        for row in walls:
+            offsets = "[" + ",".join(row[f"o{k}"] for k in range(25)) + "]"
+            add(label, of("error", *sets(method__name=method, design__offsets=offsets, design__nodes=NODES)), "q", float(row["Q"]))
+    with open(BODIES) as file:
+        reference = list(csv.DictReader(file))
+    for dx in (0.02, 0.01):
+        for _, bodies, scene in bodies_in_channel(reference):
+            s = of("error", scene, *sets(resolution__dx=dx))
+            label = f"10 geometries, fixed particles, dx {dx}: flow rate, drag, heat"
+            add(label, s, "flow_rate", float(bodies[0]["flow_rate"]))
+            for k, body in enumerate(bodies):
+                add(label, s, f"shapes[{k + 2}].force[0]", float(body["force_x"]))
+                add(label, s, f"shapes[{k + 2}].heat", float(body["heat"]))
+    label = "scenes with exact solutions: kinetic energy, wall flux, Nusselt number"
+    for method in ("consistent", "standard"):
+        for dx in (0.04, 0.02):
+            s = of("error", "taylor-green", *sets(method__name=method, resolution__dx=dx))
+            add(label, s, "kinetic_energy", s["exact_kinetic_energy"])
+        for rows in (20, 40):
+            s = of("error", "poiseuille", *sets(method__name=method, resolution__dx=1 / rows))
+            add(label, s, "kinetic_energy", s["exact_kinetic_energy"])
+            s = of("error", "couette", *sets(method__name=method, resolution__dx=1 / rows))
+            add(label, s, "kinetic_energy", s["exact_kinetic_energy"])
+            s = of("error", "slab", *sets(method__name=method, resolution__dx=1 / rows, time__end=0.05))
+            add(label, s, "wall_flux[0]", s["exact_wall_flux"][0])
+    rows = []
+    middle = lambda all: sorted(all)[len(all) // 2]
+    for label, all in [*groups.items(), ("all", [one for group in groups.values() for one in group])]:
+        rows.append([label, len(all), f"{100 * sum(ratio >= 1 for ratio, _, _ in all) / len(all):.0f} %", f"{middle([ratio for ratio, _, _ in all]):.1f}",
+                     f"{100 * middle([true for _, true, _ in all]):.2f} %", f"{100 * middle([error for _, _, error in all]):.2f} %"])
+    return table(["", "figures", "true error inside", "error over true error, median", "true error, median", "error, median"], rows)
+
+
 def rough():
     """Walls at the limit of steepness, twice as deep as those of `shapes`: which particles run over them."""
     def wave(periods, f):
@@ -295,8 +347,9 @@ def rough():
             wall.append(max(wall[-1] - 0.0399, min(wall[-1] + 0.0399, 0.04 * (2 * source.random() - 1))))
         random_walls.append(gentle(wall))
     fixed = {"method__name": "fixed"}
-    kinds = [("moving particles (default)", {}), ("moving, resolution.smoothing_length 1.1", {"resolution__smoothing_length": 1.1}),
-             ("moving, time.cfl 0.5", {"time__cfl": 0.5}), ("moving, method.shift isotropic", {"method__shift": "isotropic"}), ("fixed particles", fixed)]
+    usual = {"resolution__smoothing_length": 0.8}
+    kinds = [("moving particles (default)", {}), ("moving, resolution.smoothing_length 0.8", usual), ("the same, time.cfl 0.5", {"time__cfl": 0.5, **usual}),
+             ("the same, method.shift isotropic", {"method__shift": "isotropic", **usual}), ("fixed particles", fixed)]
     rows = [[label] for label, _ in kinds]
     for walls in (named, random_walls):
         keys = [dict(design__offsets="[" + ",".join(f"{o:.6f}" for o in wall) + "]", design__nodes=NODES, design__bound=0.04, time__end=3) for wall in walls]
@@ -456,11 +509,8 @@ temperature = 0.0
 """
 
 
-def cloud():
-    """Fixed particles around bodies beside finite elements: errors, particles, seconds."""
-    with open(BODIES) as file:
-        reference = list(csv.DictReader(file))
-    rows = []
+def bodies_in_channel(reference):
+    """Name, rows of the reference, and a scene of each geometry."""
     os.makedirs(OUT, exist_ok=True)
     for name in dict.fromkeys(row["geometry"] for row in reference):
         bodies = [row for row in reference if row["geometry"] == name]
@@ -472,6 +522,15 @@ def cloud():
         scene = os.path.join(OUT, f"cloud-{name}.toml")
         with open(scene, "w") as file:
             file.write(text)
+        yield name, bodies, scene
+
+
+def cloud():
+    """Fixed particles around bodies beside finite elements: errors, particles, seconds."""
+    with open(BODIES) as file:
+        reference = list(csv.DictReader(file))
+    rows = []
+    for name, bodies, scene in bodies_in_channel(reference):
         total = lambda key: sum(float(body[key]) for body in bodies)
         row = [name]
         for dx in (0.02, 0.01):
@@ -523,7 +582,7 @@ def summary():
 
 
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, around, summary, busy)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, around, summary, busy)
 PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

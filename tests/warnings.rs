@@ -4,6 +4,7 @@ use hydrograd::config::layers::Setting;
 use hydrograd::config::method::Method;
 use hydrograd::config::scene::{Config, Family};
 use hydrograd::config::suggest::assignments;
+use hydrograd::design::diagnostics::simulate;
 use hydrograd::design::diagnostics::{drift, Diagnostics};
 use hydrograd::design::optimise::{Epoch, Optimisation};
 use hydrograd::design::optimisers::of_config;
@@ -222,4 +223,31 @@ fn figures_far_from_exact_ones_are_told() {
     let slab = FlowFigures { wall_flux: Some([33.1, 0.0]), exact_wall_flux: Some([56.4, 0.0]), ..found(1.0) };
     let told = of_flow(&Family::Slab.defaults(), &slab, &[]);
     assert!(told.len() == 1 && told[0].problem.contains("at the lower wall is -41.3 %"), "{told:?}");
+}
+
+/// A sawtooth over which particles with the usual smoothing length diverge within 64 steps.
+#[test]
+fn moving_particles_see_further_over_rough_walls() {
+    let wall = |height: f64| {
+        let offsets: Vec<f64> = (0..25).map(|k| if k % 2 == 0 { height } else { -height }).collect();
+        let nodes: Vec<f64> = (0..25).map(|k| 0.26 + 0.02 * k as f64).collect();
+        [format!("design.offsets={offsets:?}"), format!("design.nodes={nodes:?}"), "design.bound=0.02".to_string(), "channel.wall_rows=3".to_string()]
+    };
+    let load = |height: f64, more: &[&str]| {
+        let sets: Vec<String> = wall(height).into_iter().chain(more.iter().map(|set| set.to_string())).collect();
+        Config::load(Some("heated-channel"), None, &sets).unwrap().config
+    };
+    let length = |config: &Config| config.resolution.smoothing_length;
+    assert_eq!(length(&load(0.005, &[])), 0.8);
+    assert_eq!(length(&load(0.02, &[])), 1.1);
+    assert_eq!(length(&load(0.02, &["resolution.smoothing_length=0.9"])), 0.9);
+    assert_eq!(length(&load(0.02, &["method.name=fixed"])), 0.8);
+    let config = load(0.02, &["time.end=0.3", "objective.window=0.1"]);
+    let codes = |config: &Config| of_measured(config, &quiet(config)).into_iter().map(|it| it.code).collect::<Vec<_>>();
+    assert_eq!(codes(&config), ["rough-wall"]);
+    assert!(codes(&load(0.005, &[])).is_empty());
+    let scene = Scene::<f64>::from_config(&config).unwrap();
+    let design = scene.design.as_ref().unwrap();
+    let found = simulate(design, config.run.compute().unwrap(), &scene.start, &mut []).unwrap();
+    assert!(found.diagnostics.u_max < 2.0, "{:?}", found.diagnostics);
 }

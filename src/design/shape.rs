@@ -34,6 +34,12 @@ pub struct Shape {
     pub hot_to: f64,
 }
 
+/// Walls whose slope changes by more than this over a spacing are rough. (Of 19 walls and multiples of them the runs over those with at most
+/// 2.0 went well, and those with 2.4 and more diverged: `python3 scripts/figures.py rough`.)
+pub const ROUGH: f64 = 2.2;
+/// The smoothing length in spacings with which moving particles stay between rough walls.
+pub const ROUGH_SMOOTHING_LENGTH: f64 = 1.1;
+
 impl Shape {
     /// The numbers of shapes in the place of offsets; their positions are 0, 1, 2, ..., because numbers have none.
     pub fn of_numbers(offsets: Vec<f64>) -> Self {
@@ -175,6 +181,25 @@ impl Shape {
         } else {
             self.between_nodes(x)
         }
+    }
+
+    /// How much the slope of a wall changes over one spacing, at most: |y(x - dx) - 2 y(x) + y(x + dx)| / dx, at nodes, between them, and at
+    /// the ends of the hot section.
+    pub fn sharpest_turn(&self, dx: f64) -> f64 {
+        let top = self.top.as_ref().map(|_| self.top_wall());
+        let turn =
+            |wall: &Self, x: f64| (wall.surface(x - dx) - 2.0 * wall.surface(x) + wall.surface(x + dx)).abs() / dx;
+        let all: Vec<f64> =
+            [self.hot_from].into_iter().chain(self.nodes.iter().copied()).chain([self.hot_to]).collect();
+        let between = all.windows(2).map(|pair| 0.5 * (pair[0] + pair[1]));
+        let places: Vec<f64> = all.iter().copied().chain(between).collect();
+        let walls = std::iter::once(self).chain(&top);
+        walls.flat_map(|wall| places.iter().map(move |&x| turn(wall, x))).fold(0.0, f64::max)
+    }
+
+    /// Whether moving particles with the usual smoothing length diverge over the wall.
+    pub fn is_rough(&self, dx: f64) -> bool {
+        self.sharpest_turn(dx) > ROUGH
     }
 
     /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the average

@@ -66,7 +66,8 @@ impl Parts {
     /// The parts that are not zero, in words.
     pub fn told(&self) -> String {
         let of = [("spacing", self.discretisation), ("not yet steady", self.iteration), ("sampling", self.sampling)];
-        let some = of.iter().filter(|(_, part)| *part > 0.0).map(|(name, part)| format!("{name} {part:.1e}"));
+        let number = |x: f64| if x >= 0.01 { format!("{x:.2}") } else { format!("{x:.1e}") };
+        let some = of.iter().filter(|(_, part)| *part > 0.0).map(|(name, part)| format!("{name} {}", number(*part)));
         some.collect::<Vec<_>>().join(", ")
     }
 }

@@ -21,7 +21,7 @@ use crate::config::schema::{values, Schema};
 use crate::config::stability::AUTO;
 use crate::config::suggest::{alternatives, assignments, changed};
 use crate::design::parametrisations::SplineSurface;
-use crate::design::shape::{self, Shape};
+use crate::design::shape::{self, Shape, ROUGH_SMOOTHING_LENGTH};
 use crate::design::{start_shape, Scheduled};
 use crate::error::{BadInput, Error};
 use crate::io::csv::read_columns;
@@ -482,6 +482,7 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
         }
         fit_window(&mut merged, &config);
         fit_rows(&mut merged, &config);
+        see_further(&mut merged, &config);
     } else if config.has_design() {
         fit_window(&mut merged, &config);
     }
@@ -553,6 +554,21 @@ fn method_defaults(merged: &mut Merged, config: &Config) {
 /// keys, so equal values are not choices.)
 fn is_wish(merged: &Merged, key: &str, differs: bool) -> bool {
     differs && merged.places().contains_key(key)
+}
+
+/// Gives moving particles the smoothing length with which they stay between rough walls, if none is given.
+fn see_further(merged: &mut Merged, config: &Config) {
+    let facts = config.method.facts();
+    let is_given = merged.places().contains_key("resolution.smoothing_length");
+    let dx = config.resolution.dx;
+    // What is bad is reported by the checks.
+    let is_resolvable = dx > 0.0 && config.channel.length / dx < 1e5;
+    if config.scene != Family::HeatedChannel || !facts.moves || facts.wall_cells || is_given || !is_resolvable {
+        return;
+    }
+    if Shape::from_config(config).is_ok_and(|wall| wall.is_rough(dx)) {
+        merged.set("resolution.smoothing_length", Value::from(ROUGH_SMOOTHING_LENGTH), "a rough wall");
+    }
 }
 
 /// Shortens a default window to fit a short run, and reduces its default samples to fit the window.

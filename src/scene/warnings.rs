@@ -9,6 +9,7 @@ use crate::config::scene::{Config, Family};
 use crate::config::suggest;
 use crate::design::diagnostics::Diagnostics;
 use crate::design::optimise::{Epoch, Optimisation};
+use crate::design::shape::{Shape, ROUGH};
 use crate::particles::tag;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -112,7 +113,29 @@ fn exact(config: &Config, found: &FlowFigures) -> Option<Warning> {
 
 /// The warnings of a channel, or of a search, by what was measured over the objective's window.
 pub fn of_measured(config: &Config, found: &Diagnostics) -> Vec<Warning> {
-    speed(config, found.u_max).into_iter().chain(of_section(config, found)).collect()
+    speed(config, found.u_max).into_iter().chain(of_section(config, found)).chain(rough_wall(config)).collect()
+}
+
+/// Over a rough wall moving particles see further than usual, where they are less accurate.
+fn rough_wall(config: &Config) -> Option<Warning> {
+    let facts = config.method.facts();
+    let usual = Config::default().resolution.smoothing_length;
+    if config.scene != Family::HeatedChannel
+        || !facts.moves
+        || facts.wall_cells
+        || config.resolution.smoothing_length <= usual
+    {
+        return None;
+    }
+    let turn = Shape::from_config(config).ok()?.sharpest_turn(config.resolution.dx);
+    (turn > ROUGH).then(|| {
+        let problem = format!(
+            "the wall is rough: its slope changes by {turn:.1} over a spacing; particles see {} spacings there, at which Q over such walls \
+             is 1 to 3 % off",
+            config.resolution.smoothing_length
+        );
+        Warning::new("rough-wall", [turn, ROUGH], problem, "method.name=fixed, or a gentler wall")
+    })
 }
 
 /// The warnings about density, balance and drift, but not about the speed, which [`of_flow`] judges.

@@ -37,7 +37,17 @@ pub fn known() -> BTreeMap<String, Field> {
 /// The name of a field under the objective heat outflow: names of a search begin with the symbol of its objective.
 fn of_heat(name: &str) -> String {
     let (list, name) = name.split_once("[].").map_or((None, name), |(list, name)| (Some(list), name));
-    let ends = ["", "_first", "_per_epoch", "_predicted_per_epoch", "_solver_per_epoch", "_reference", "_best"];
+    let ends = [
+        "",
+        "_first",
+        "_per_epoch",
+        "_predicted_per_epoch",
+        "_solver_per_epoch",
+        "_reference",
+        "_best",
+        "_error",
+        "_error_parts",
+    ];
     let own = ["t", "w", "v"].iter().find_map(|symbol| name.strip_prefix(symbol)).filter(|rest| ends.contains(rest));
     let name = own.map_or_else(|| name.to_string(), |rest| format!("q{rest}"));
     list.map_or(name.clone(), |list| format!("{list}[].{name}"))
@@ -67,7 +77,7 @@ fn names(summary: &Map<String, Value>) -> BTreeSet<String> {
 /// The runs within a file: those of a search's first design, of the solver, of every start or way to search.
 fn inner(summary: &Map<String, Value>) -> impl Iterator<Item = (&String, &Map<String, Value>)> {
     let objects = summary.iter().filter_map(|(name, value)| Some((name, value.as_object()?)));
-    objects.filter(|(name, _)| !name.contains([':', '.']))
+    objects.filter(|(name, _)| !name.contains([':', '.']) && !name.ends_with("_parts"))
 }
 
 /// Checks the file of a run: it has no field that is not known, and all that such runs always have. Returns its fields.
