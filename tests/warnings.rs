@@ -231,7 +231,12 @@ fn moving_particles_see_further_over_rough_walls() {
     let wall = |height: f64| {
         let offsets: Vec<f64> = (0..25).map(|k| if k % 2 == 0 { height } else { -height }).collect();
         let nodes: Vec<f64> = (0..25).map(|k| 0.26 + 0.02 * k as f64).collect();
-        [format!("design.offsets={offsets:?}"), format!("design.nodes={nodes:?}"), "design.bound=0.02".to_string(), "channel.wall_rows=3".to_string()]
+        [
+            format!("design.offsets={offsets:?}"),
+            format!("design.nodes={nodes:?}"),
+            "design.bound=0.02".to_string(),
+            "channel.wall_rows=3".to_string(),
+        ]
     };
     let load = |height: f64, more: &[&str]| {
         let sets: Vec<String> = wall(height).into_iter().chain(more.iter().map(|set| set.to_string())).collect();

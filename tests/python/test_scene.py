@@ -217,6 +217,17 @@ def test_optimise_by_a_learned_model_is_the_command_s(tmp_path):
         assert summary[key] == [None if np.isnan(x) else x for x in values.tolist()], key
 
 
+def test_errors_of_figures_are_those_of_the_command():
+    scene = hydrograd.Scene("taylor-green", resolution__dx=0.1, time__steps=20)
+    found = scene.errors()
+    energy = next(one for one in found["errors"] if one["name"] == "kinetic_energy")
+    assert energy["value"] == found["kinetic_energy"] == pytest.approx(scene.simulate().figures["kinetic_energy"], rel=1e-12)
+    assert 0 < energy["error"] < 0.5 * energy["value"]
+    assert energy["error"] == pytest.approx(sum(energy["parts"].values()))
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        scene.errors(accuracy=2.0)
+
+
 def test_verify_finds_what_is_left_of_a_gain(moving):
     best = moving.nearest(moving.design + 0.005)
     shares = []
