@@ -218,7 +218,7 @@ def test_optimise_by_a_learned_model_is_the_command_s(tmp_path):
 
 
 def test_errors_of_figures_are_those_of_the_command():
-    scene = hydrograd.Scene("taylor-green", resolution__dx=0.1, time__steps=20)
+    scene = hydrograd.Scene("taylor-green", **{"resolution.dx": 0.1, "time.steps": 20})
     found = scene.errors()
     energy = next(one for one in found["errors"] if one["name"] == "kinetic_energy")
     assert energy["value"] == found["kinetic_energy"] == pytest.approx(scene.simulate().figures["kinetic_energy"], rel=1e-12)

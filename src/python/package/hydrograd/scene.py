@@ -326,6 +326,8 @@ class Scene:
                 out.write(self.text)
             command = [sys.executable, "-m", "hydrograd", "simulate", file, *how, "--json", "--out", os.path.join(folder, "run")]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if not done.stdout:
+            raise ValueError(done.stderr.strip())
         found = json.loads(done.stdout)
         if found["error"] is not None:
             raise (ValueError if found["exit_code"] == 2 else RuntimeError)(found["error"])
