@@ -14,7 +14,10 @@
 //! Rows are exchanged within A only, so the structure does not depend on the numbers; what accuracy that costs is
 //! won back by one step of iterative refinement. The order of all sums is fixed, for any number of threads.
 
+use super::lanes::Lanes;
+use super::sweep::{run_rows, RowKernel, Shared};
 use gemm::{gemm, Parallelism};
+use std::ops::Range;
 
 /// A square sparse matrix of `blocks` x `blocks` dense blocks of `size` x `size`, by rows.
 ///
@@ -171,6 +174,11 @@ struct Front {
     in_parent: Vec<u32>,
     /// Number of nodes of the whole subtree.
     weight: usize,
+    /// Where its own nodes begin in the order of elimination, and the place there of each of `later`.
+    begin: usize,
+    later_place: Vec<u32>,
+    /// Where what it passes on begins among all that is passed on, in nodes.
+    passed: usize,
 }
 
 /// The order of elimination of a graph, children before parents.
@@ -178,12 +186,16 @@ struct Front {
 pub struct Order {
     fronts: Vec<Front>,
     nodes: usize,
+    /// Ranges of fronts that a solution takes side by side, children before parents.
+    stages: Vec<Vec<Range<usize>>>,
 }
 
 /// Nodes of a part that is not divided further.
 const LEAF: usize = 20;
 /// Nodes of a subtree that is factorised by a thread of its own.
 const OWN_THREAD: usize = 300;
+/// Subtrees of a solution that are not divided further: this part of all nodes.
+const PARTS: usize = 12;
 /// Columns of a panel of a dense factorisation.
 const PANEL: usize = 24;
 
@@ -191,11 +203,37 @@ impl Order {
     /// Orders the nodes of a symmetric structure by their places in the plane.
     pub fn new(matrix: &BlockMatrix, place: impl Fn(usize) -> [f64; 2]) -> Self {
         let nodes = matrix.nodes();
-        let mut order = Self { fronts: vec![], nodes };
+        let mut order = Self { fronts: vec![], nodes, stages: vec![] };
         let mut part = vec![0u32; nodes];
         order.divide(matrix, &place, (0..nodes as u32).collect(), &mut part, &mut 0);
         order.link(matrix);
+        order.stage();
         order
+    }
+
+    /// Finds what a solution can do side by side.
+    fn stage(&mut self) {
+        // Of each front the stage, and the first front of its subtree.
+        let (mut stages, mut first): (Vec<usize>, Vec<usize>) = (vec![], vec![]);
+        for (k, front) in self.fronts.iter().enumerate() {
+            first.push(front.children.first().map_or(k, |&child| first[child]));
+            let is_small = front.weight * PARTS <= self.nodes;
+            let below = front.children.iter().map(|&child| stages[child] + 1).max();
+            stages.push(if is_small { 0 } else { below.unwrap_or(0) });
+        }
+        self.stages = vec![vec![]; stages.iter().max().map_or(0, |most| most + 1)];
+        let mut parent = vec![usize::MAX; self.fronts.len()];
+        for (k, front) in self.fronts.iter().enumerate() {
+            front.children.iter().for_each(|&child| parent[child] = k);
+        }
+        for k in 0..self.fronts.len() {
+            let is_small = |k: usize| self.fronts[k].weight * PARTS <= self.nodes;
+            if !is_small(k) {
+                self.stages[stages[k]].push(k..k + 1);
+            } else if parent[k] == usize::MAX || !is_small(parent[k]) {
+                self.stages[0].push(first[k]..k + 1);
+            }
+        }
     }
 
     /// Adds the fronts of a set of nodes that only nodes already separated off touch; returns the last one.
@@ -256,12 +294,14 @@ impl Order {
     fn link(&mut self, matrix: &BlockMatrix) {
         let mut rank = vec![0u32; self.nodes];
         let mut next = 0;
-        for front in &self.fronts {
+        for front in &mut self.fronts {
+            front.begin = next as usize;
             for &i in &front.own {
                 rank[i as usize] = next;
                 next += 1;
             }
         }
+        let mut passed_on = 0;
         for k in 0..self.fronts.len() {
             let front = &self.fronts[k];
             let last = front.own.last().map_or(0, |&i| rank[i as usize]);
@@ -280,7 +320,11 @@ impl Order {
             for child in front.children.clone() {
                 self.fronts[child].in_parent = self.fronts[child].later.iter().map(place_of).collect();
             }
-            self.fronts[k].later = later;
+            let front = &mut self.fronts[k];
+            front.later_place = later.iter().map(|&j| rank[j as usize]).collect();
+            front.passed = passed_on;
+            passed_on += later.len();
+            front.later = later;
         }
     }
 }
@@ -534,82 +578,226 @@ impl SparseLu {
         refined(b, |x| matrix.times(x, transposed), |r| self.solve(r, transposed), |r| self.solve(r, transposed))
     }
 
-    /// x = A^-1 b, or A^-T b.
+    /// x = A^-1 b, or A^-T b, on all threads.
     pub fn solve(&self, b: &[f64], transposed: bool) -> Vec<f64> {
-        let s = self.size;
-        let mut x = b.to_vec();
-        let mut part = vec![];
-        let gather = |x: &[f64], nodes: &[u32], part: &mut Vec<f64>| {
-            part.clear();
-            part.extend(nodes.iter().flat_map(|&i| &x[i as usize * s..(i as usize + 1) * s]));
-        };
-        let scatter = |x: &mut [f64], nodes: &[u32], part: &[f64]| {
-            nodes
-                .iter()
-                .zip(part.chunks_exact(s))
-                .for_each(|(&i, part)| x[i as usize * s..(i as usize + 1) * s].copy_from_slice(part));
-        };
-        for (front, factor) in self.order.fronts.iter().zip(&self.factors) {
-            let (p, q) = (front.own.len() * s, front.later.len() * s);
-            gather(&x, &front.own, &mut part);
-            let Factor { lu, pivots, upper, lower } = factor;
-            if transposed {
-                // U^T y = b.
-                for k in 0..p {
-                    let column = &lu[k * p..k * p + k];
-                    part[k] = (part[k] - dot(column, &part[..k])) / lu[k * p + k];
-                }
-            } else {
-                pivots.iter().enumerate().for_each(|(k, &with)| part.swap(k, with as usize));
-                for k in 0..p {
-                    let pivot = part[k];
-                    part[k + 1..].iter_mut().zip(&lu[k * p + k + 1..(k + 1) * p]).for_each(|(x, l)| *x -= l * pivot);
-                }
+        Self::solve_side_by_side(&[(self, b)], transposed).remove(0)
+    }
+
+    /// The same of some systems whose matrices have one order.
+    ///
+    /// # Panics
+    /// If they have not.
+    pub fn solve_side_by_side(systems: &[(&Self, &[f64])], transposed: bool) -> Vec<Vec<f64>> {
+        let Some((Self { order, .. }, _)) = systems.first() else { return vec![] };
+        assert!(systems.iter().all(|(lu, _)| std::sync::Arc::ptr_eq(&lu.order, order)), "one order");
+        let all_passed = order.fronts.last().map_or(0, |root| root.passed + root.later.len());
+        let mut by_place: Vec<Vec<f64>> = vec![];
+        let mut passed: Vec<Vec<f64>> = vec![];
+        for (lu, b) in systems {
+            let s = lu.size;
+            let own = order.fronts.iter().flat_map(|front| &front.own);
+            by_place.push(own.flat_map(|&i| &b[i as usize * s..(i as usize + 1) * s]).copied().collect());
+            passed.push(vec![0.0; all_passed * s]);
+        }
+        let tasks: Vec<Task> = systems
+            .iter()
+            .zip(by_place.iter_mut().zip(&mut passed))
+            .map(|((lu, _), (x, passed))| Task { lu, x: Shared::new(x), passed: Shared::new(passed) })
+            .collect();
+        for stage in &order.stages {
+            let sweep = Sweep { tasks: &tasks, stage, transposed, is_forward: true };
+            run_rows(&sweep, tasks.len() * stage.len());
+        }
+        for stage in order.stages.iter().rev() {
+            let sweep = Sweep { tasks: &tasks, stage, transposed, is_forward: false };
+            run_rows(&sweep, tasks.len() * stage.len());
+        }
+        let found = systems.iter().zip(&by_place).map(|((lu, b), by_place)| {
+            let (s, mut x) = (lu.size, vec![0.0; b.len()]);
+            let own = order.fronts.iter().flat_map(|front| &front.own);
+            for (&i, part) in own.zip(by_place.chunks_exact(s)) {
+                x[i as usize * s..(i as usize + 1) * s].copy_from_slice(part);
             }
-            scatter(&mut x, &front.own, &part);
-            // What later unknowns know of these.
-            let mut less = vec![0.0; q];
-            if transposed {
-                for (k, less) in less.iter_mut().enumerate() {
-                    *less = dot(&upper[k * p..(k + 1) * p], &part);
-                }
-            } else {
-                for (k, y) in part.iter().enumerate() {
-                    less.iter_mut().zip(&lower[k * q..(k + 1) * q]).for_each(|(less, l)| *less += l * y);
-                }
-            }
-            for (&j, less) in front.later.iter().zip(less.chunks_exact(s)) {
-                x[j as usize * s..(j as usize + 1) * s].iter_mut().zip(less).for_each(|(x, less)| *x -= less);
+            x
+        });
+        found.collect()
+    }
+}
+
+/// A system that is solved: its unknowns in the order of elimination, and what each front passes on.
+struct Task<'a> {
+    lu: &'a SparseLu,
+    x: Shared<'a, f64>,
+    passed: Shared<'a, f64>,
+}
+
+/// A stage of the solution of some systems.
+struct Sweep<'a> {
+    tasks: &'a [Task<'a>],
+    stage: &'a [Range<usize>],
+    transposed: bool,
+    is_forward: bool,
+}
+
+impl RowKernel<f64> for Sweep<'_> {
+    const SHORT: bool = true;
+
+    #[inline(always)]
+    fn rows<L: Lanes<Real = f64>>(&self, rows: Range<usize>) {
+        for row in rows {
+            let task = &self.tasks[row % self.tasks.len()];
+            let fronts = self.stage[row / self.tasks.len()].clone();
+            match (self.is_forward, self.transposed) {
+                (true, false) => fronts.for_each(|k| task.forward::<L, false>(k)),
+                (true, true) => fronts.for_each(|k| task.forward::<L, true>(k)),
+                (false, false) => fronts.rev().for_each(|k| task.backward::<L, false>(k)),
+                (false, true) => fronts.rev().for_each(|k| task.backward::<L, true>(k)),
             }
         }
-        let mut known = vec![];
-        for (front, factor) in self.order.fronts.iter().zip(&self.factors).rev() {
-            let (p, q) = (front.own.len() * s, front.later.len() * s);
-            gather(&x, &front.own, &mut part);
-            gather(&x, &front.later, &mut known);
-            let Factor { lu, pivots, upper, lower } = factor;
-            if transposed {
-                for (k, x) in part.iter_mut().enumerate() {
-                    *x -= dot(&lower[k * q..(k + 1) * q], &known);
-                }
-                for k in (0..p).rev() {
-                    let column = &lu[k * p + k + 1..(k + 1) * p];
-                    part[k] -= dot(column, &part[k + 1..]);
-                }
-                pivots.iter().enumerate().rev().for_each(|(k, &with)| part.swap(k, with as usize));
-            } else {
-                for (k, known) in known.iter().enumerate() {
-                    part.iter_mut().zip(&upper[k * p..(k + 1) * p]).for_each(|(x, u)| *x -= u * known);
-                }
-                for k in (0..p).rev() {
-                    part[k] /= lu[k * p + k];
-                    let pivot = part[k];
-                    part[..k].iter_mut().zip(&lu[k * p..k * p + k]).for_each(|(x, u)| *x -= u * pivot);
-                }
-            }
-            scatter(&mut x, &front.own, &part);
+    }
+}
+
+/// Columns of a matrix that are taken at once.
+const AT_ONCE: usize = 4;
+
+/// y -= A x for the columns of A, each as long as y.
+#[inline(always)]
+fn subtract_columns(y: &mut [f64], a: &[f64], x: &[f64]) {
+    let m = y.len();
+    if m == 0 {
+        return;
+    }
+    let (fours, rest) = (a.chunks_exact(AT_ONCE * m), x.chunks_exact(AT_ONCE));
+    let (left, last) = (fours.remainder(), rest.remainder());
+    for (columns, x) in fours.zip(rest) {
+        let (a0, others) = columns.split_at(m);
+        let (a1, others) = others.split_at(m);
+        let (a2, a3) = others.split_at(m);
+        for r in 0..m {
+            y[r] -= (a0[r] * x[0] + a1[r] * x[1]) + (a2[r] * x[2] + a3[r] * x[3]);
         }
-        x
+    }
+    for (column, x) in left.chunks_exact(m).zip(last) {
+        y.iter_mut().zip(column).for_each(|(y, a)| *y -= a * x);
+    }
+}
+
+/// Scalar products of C columns, each as long as y, with y.
+#[inline(always)]
+fn products<L: Lanes<Real = f64>, const C: usize>(a: &[f64], y: &[f64]) -> [f64; C] {
+    let m = y.len();
+    assert!(a.len() >= C * m);
+    let whole = m - m % L::COUNT;
+    let mut sums = [L::zero(); C];
+    for r in (0..whole).step_by(L::COUNT) {
+        // SAFETY: COUNT numbers of y and of each column.
+        unsafe {
+            let y = L::load(y.as_ptr().add(r));
+            for c in 0..C {
+                sums[c] = L::load(a.as_ptr().add(c * m + r)).mul_add(y, sums[c]);
+            }
+        }
+    }
+    let mut all = [0.0; C];
+    for c in 0..C {
+        let rest: f64 = (whole..m).map(|r| a[c * m + r] * y[r]).sum();
+        all[c] = sums[c].sum() + rest;
+    }
+    all
+}
+
+/// x -= A^T y for the columns of A, each as long as y.
+#[inline(always)]
+fn subtract_products<L: Lanes<Real = f64>>(x: &mut [f64], a: &[f64], y: &[f64]) {
+    let m = y.len();
+    let whole = x.len() - x.len() % AT_ONCE;
+    for c in (0..whole).step_by(AT_ONCE) {
+        let found = products::<L, AT_ONCE>(&a[c * m..], y);
+        (0..AT_ONCE).for_each(|k| x[c + k] -= found[k]);
+    }
+    for c in whole..x.len() {
+        x[c] -= products::<L, 1>(&a[c * m..], y)[0];
+    }
+}
+
+impl Task<'_> {
+    /// The own unknowns of a front, and what it passes on.
+    ///
+    /// # Safety
+    /// Nobody else is at this front.
+    #[inline(always)]
+    unsafe fn of_front(&self, front: &Front) -> (&mut [f64], &mut [f64]) {
+        let s = self.lu.size;
+        // SAFETY: the caller's promise.
+        unsafe {
+            let own = self.x.slice(front.begin * s..(front.begin + front.own.len()) * s);
+            (own, self.passed.slice(front.passed * s..(front.passed + front.later.len()) * s))
+        }
+    }
+
+    /// y of L y = b, or of U^T y = b, at a front whose children have theirs.
+    #[inline(always)]
+    fn forward<L: Lanes<Real = f64>, const TRANSPOSED: bool>(&self, k: usize) {
+        let (fronts, s) = (&self.lu.order.fronts, self.lu.size);
+        let (front, Factor { lu, pivots, upper, lower }) = (&fronts[k], &self.lu.factors[k]);
+        // SAFETY: every front is in one row of one stage, and children are done.
+        let (own, later) = unsafe { self.of_front(front) };
+        let p = own.len();
+        for &child in &front.children {
+            // SAFETY: as above.
+            let (_, from_child) = unsafe { self.of_front(&fronts[child]) };
+            for (&to, values) in fronts[child].in_parent.iter().zip(from_child.chunks_exact(s)) {
+                let to = to as usize * s;
+                let to = if to < p { &mut own[to..to + s] } else { &mut later[to - p..to - p + s] };
+                to.iter_mut().zip(values).for_each(|(to, value)| *to += value);
+            }
+        }
+        if TRANSPOSED {
+            for k in 0..p {
+                let (before, from) = own.split_at_mut(k);
+                subtract_products::<L>(&mut from[..1], &lu[k * p..k * p + k], before);
+                from[0] /= lu[k * p + k];
+            }
+            subtract_products::<L>(later, upper, own);
+        } else {
+            pivots.iter().enumerate().for_each(|(k, &with)| own.swap(k, with as usize));
+            for k in 0..p {
+                let pivot = own[k];
+                own[k + 1..].iter_mut().zip(&lu[k * p + k + 1..(k + 1) * p]).for_each(|(x, l)| *x -= l * pivot);
+            }
+            subtract_columns(later, lower, own);
+        }
+    }
+
+    /// x of U x = y, or of L^T x = y, at a front whose later unknowns are known.
+    #[inline(always)]
+    fn backward<L: Lanes<Real = f64>, const TRANSPOSED: bool>(&self, k: usize) {
+        let s = self.lu.size;
+        let (front, Factor { lu, pivots, upper, lower }) = (&self.lu.order.fronts[k], &self.lu.factors[k]);
+        // SAFETY: every front is in one row of one stage, and later unknowns are done.
+        let (own, known) = unsafe { self.of_front(front) };
+        let p = own.len();
+        for (&from, known) in front.later_place.iter().zip(known.chunks_exact_mut(s)) {
+            for (c, known) in known.iter_mut().enumerate() {
+                // SAFETY: as above.
+                *known = unsafe { self.x.get(from as usize * s + c) };
+            }
+        }
+        if TRANSPOSED {
+            subtract_products::<L>(own, lower, known);
+            for k in (0..p).rev() {
+                let (before, from) = own.split_at_mut(k + 1);
+                subtract_products::<L>(&mut before[k..], &lu[k * p + k + 1..(k + 1) * p], from);
+            }
+            pivots.iter().enumerate().rev().for_each(|(k, &with)| own.swap(k, with as usize));
+        } else {
+            subtract_columns(own, upper, known);
+            for k in (0..p).rev() {
+                own[k] /= lu[k * p + k];
+                let pivot = own[k];
+                own[..k].iter_mut().zip(&lu[k * p..k * p + k]).for_each(|(x, u)| *x -= u * pivot);
+            }
+        }
     }
 }
 
