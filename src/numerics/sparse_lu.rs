@@ -726,6 +726,7 @@ impl Task<'_> {
     /// # Safety
     /// Nobody else is at this front.
     #[inline(always)]
+    #[allow(clippy::mut_from_ref)]
     unsafe fn of_front(&self, front: &Front) -> (&mut [f64], &mut [f64]) {
         let s = self.lu.size;
         // SAFETY: the caller's promise.
