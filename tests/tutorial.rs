@@ -145,5 +145,7 @@ fn the_tutorial_is_what_happens() {
     let gain = best.unwrap() / first.unwrap() - 1.0;
     assert!(gain > 0.05 && gain < 0.15, "a gain of {gain}");
     let survives = summary["gain_survives"].as_f64().unwrap();
-    assert!(survives > 0.0 && survives < 0.7 * gain, "{survives} of {gain} survives");
+    assert!(survives < 0.7 * gain && summary["proved"] == (survives > 0.0), "{survives} of {gain} survives");
+    let (parts, time) = (&summary["gain_error_parts"], summary["gain_error_parts"]["iteration"].as_f64().unwrap());
+    assert!(time > parts["discretisation"].as_f64().unwrap(), "{parts}");
 }

@@ -240,9 +240,16 @@ fn text_of(verified: &Verified) -> String {
         (Some(gain), _) if gain <= 0.0 => text.push_str(&format!(
             "\nWARNING: no gain survives: this wall is not better than {reference}, whatever the optimiser found"
         )),
-        (_, Some(gain)) if gain <= 0.0 => text.push_str(
-            "\nWARNING: the gain is within its error: a finer spacing (--dx) would show whether there is one",
-        ),
+        (_, Some(gain)) if gain <= 0.0 => {
+            let parts = verified.error().unwrap_or_default();
+            let remedy = match parts.discretisation >= parts.iteration.max(parts.sampling) {
+                true => "a finer spacing (--dx)",
+                false => "a longer run (--end)",
+            };
+            text.push_str(&format!(
+                "\nWARNING: the gain is within its error: {remedy} would show whether there is one"
+            ));
+        }
         (_, Some(_)) => {}
         (Some(_), None) => {
             text.push_str("\nWARNING: the error of the gain is not known: the checks by which it is found did not run")
