@@ -84,17 +84,19 @@ def main():
         json.dump({"start_of_python": start, "rows": rows}, file, indent=1)
     draw(rows, start)
     print(f"\n{start:.2f} s of each finite-element run are the start of Python and its packages\n")
-    print(table(rows))
+    print(summed_up(rows))
 
 
-def table(rows):
+def summed_up(rows):
     """Of all geometries: the worst errors and the mean time."""
-    lines = ["| | resolution | seconds | flow rate | drag | heat |", "| --- | --- | --- | --- | --- | --- |"]
+    from pages import table
+
+    lines = []
     for code, size in dict.fromkeys((row["code"], row["resolution"]) for row in rows):
         some = [row for row in rows if (row["code"], row["resolution"]) == (code, size)]
         worst = [f"{100 * max(row[key] for row in some):.2f} %" for key in ("flow_rate", "drag", "heat")]
-        lines.append(f"| {code} | {size} | {sum(row['seconds'] for row in some) / len(some):.2f} | {' | '.join(worst)} |")
-    return "\n".join(lines)
+        lines.append([code, size, f"{sum(row['seconds'] for row in some) / len(some):.2f}", *worst])
+    return table(["", "resolution", "seconds", "flow rate", "drag", "heat"], lines)
 
 
 def draw(rows, start):

@@ -4,7 +4,6 @@
 use super::files::write_summary;
 use super::{page, program};
 use crate::config::layers::Setting;
-use crate::config::scene::Config;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::report::progress::Progress;
@@ -74,7 +73,7 @@ impl Spacings {
         let status = program::attended(&mut command)?;
         interrupt::check()?;
         let found = match status.success() {
-            true => Ok(serde_json::from_slice(&std::fs::read(out.join("summary.json"))?)?),
+            true => Ok(summary_of(&out)?),
             false => Err(std::fs::read_to_string(log.path())?.trim().to_string()),
         };
         self.known.push((dx, found.clone()));
@@ -95,10 +94,7 @@ impl Spacings {
         }
         bar.finish();
         if found.is_empty() {
-            let why = match failure {
-                Some(why) => format!(": {}", why.lines().next().unwrap_or_default()),
-                None => String::new(),
-            };
+            let why = failure.map_or(String::new(), |why| format!(": {}", first_line(&why)));
             let problem = format!("no error is known, for the scene cannot be run at a coarser spacing{why}");
             let config = &loaded.config;
             return Err(Error::run(problem, config.finer(0.5 * config.resolution.dx)).into());
@@ -127,14 +123,15 @@ impl Spacings {
                 Error::run(problem, "another resolution.dx to begin with")
             })?;
             let all = self.errors(&at, &record)?;
-            let Some(main) = all.iter().find(|one| Some(&one.name) == main_figure(&record).as_ref()) else {
+            let name = main_figure(&record);
+            let Some(main) = all.iter().find(|one| Some(&one.name) == name.as_ref()) else {
                 let problem = "the scene has no figure whose error could be as small as that";
                 return Err(BadInput::new(problem).place("--accuracy").allowed("scenes with an objective").into());
             };
             last = main.error / main.value.abs();
             println!("spacing {dx:.6}: {} {:.6} +- {:.1e} ({:.2} %)", main.name, main.value, main.error, 100.0 * last);
-            let finer = best.as_ref().is_none_or(|best| dx > best.config.resolution.dx);
-            if last <= accuracy && finer {
+            let is_coarser = best.as_ref().is_none_or(|best| dx > best.config.resolution.dx);
+            if last <= accuracy && is_coarser {
                 best = Some(at.clone());
             }
             let next = (dx * (AIM * accuracy / last).powf(1.0 / order)).max(FINEST * loaded.config.resolution.dx);
@@ -142,10 +139,7 @@ impl Spacings {
             if best.is_some() && next < 1.2 * dx {
                 break;
             }
-            let next = match loaded.config.spacing_up_to(next) {
-                Some(spacing) => spacing,
-                None => next,
-            };
+            let next = loaded.config.spacing_up_to(next).unwrap_or(next);
             match loaded.with(&at_spacing(loaded, next)) {
                 Ok(other) if (next / dx - 1.0).abs() > SAME => at = other,
                 _ => break,
@@ -163,6 +157,11 @@ impl Spacings {
     }
 }
 
+/// The record of a finished run.
+fn summary_of(folder: &Path) -> anyhow::Result<Record> {
+    Ok(serde_json::from_slice(&std::fs::read(folder.join("summary.json"))?)?)
+}
+
 fn first_line(text: &str) -> &str {
     text.lines().next().unwrap_or_default()
 }
@@ -174,7 +173,7 @@ pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
 
 /// The scene at up to two coarser spacings that it allows.
 fn coarser_spacings(loaded: &Loaded) -> Vec<Loaded> {
-    let config: &Config = &loaded.config;
+    let config = &loaded.config;
     let dx = config.resolution.dx;
     let mut found: Vec<Loaded> = vec![];
     for ratios in RATIOS {
@@ -193,8 +192,7 @@ fn coarser_spacings(loaded: &Loaded) -> Vec<Loaded> {
 /// Adds the errors of the figures to a finished run, and prints them.
 pub fn add(loaded: &Loaded, folder: &Path, spacings: &mut Spacings) -> anyhow::Result<()> {
     let clock = Instant::now();
-    let file = folder.join("summary.json");
-    let mut record: Record = serde_json::from_slice(&std::fs::read(file)?)?;
+    let mut record = summary_of(folder)?;
     let found = spacings.errors(loaded, &record)?;
     put(&mut record, &found);
     record.put("error_seconds", clock.elapsed().as_secs_f64());
@@ -208,7 +206,7 @@ pub fn add(loaded: &Loaded, folder: &Path, spacings: &mut Spacings) -> anyhow::R
 }
 
 /// Adds errors to a record: all of them, and those of Q and the objective under names of their own.
-pub fn put(record: &mut Record, found: &[FigureError]) {
+fn put(record: &mut Record, found: &[FigureError]) {
     for one in found.iter().filter(|one| ["q", "objective"].contains(&one.name.as_str())) {
         record.put(&format!("{}_error", one.name), one.error);
         record.put(&format!("{}_error_parts", one.name), one.parts);

@@ -195,10 +195,10 @@ pub fn of_search(folder: &Path, mut record: Record, verification: &Verification)
     let values: Vec<f64> =
         record.per_epoch(&format!("{}_per_epoch", symbol.to_lowercase())).into_iter().flatten().flatten().collect();
     if let ([.., before, last], Some(error)) = (values.as_slice(), verified.error_of_best()) {
-        if (last - before).abs() < error.total() {
+        let change = (last - before).abs();
+        if change < error.total() {
             println!(
-                "the last epoch changed {symbol} by {:.1e}, less than its error: more epochs would gain nothing that could be proved",
-                (last - before).abs()
+                "the last epoch changed {symbol} by {change:.1e}, less than its error: more epochs would gain nothing that could be proved"
             );
         }
     }

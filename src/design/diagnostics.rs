@@ -202,8 +202,8 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         })
     }
 
-    fn drift(&self, of: fn(&Sample) -> f64) -> Option<f64> {
-        drift(&self.samples.iter().map(of).collect::<Vec<_>>())
+    fn series(&self, of: fn(&Sample) -> f64) -> Vec<f64> {
+        self.samples.iter().map(of).collect()
     }
 
     /// The averages over the samples.
@@ -214,6 +214,7 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
         let inlet = model.heat.as_ref().map_or(0.0, |h| h.reference);
         let heat: Vec<(f64, f64)> = self.samples.iter().map(|it| (it.step as f64 * model.dt, it.heat)).collect();
         let stored = slope(&heat);
+        let (q_series, flow_series) = (self.series(|it| it.q), self.series(|it| it.flow));
         let (q, wall) = (mean(|it| it.q), mean(|it| it.wall));
         Diagnostics {
             q,
@@ -227,10 +228,10 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             u_max: mean(|it| it.u_max),
             body_force: mean(|it| it.force),
             pumping_power: mean(|it| it.power),
-            q_drift: self.drift(|it| it.q),
-            flow_rate_drift: self.drift(|it| it.flow),
-            q_sampling: sampling(&self.samples.iter().map(|it| it.q).collect::<Vec<_>>()),
-            flow_rate_sampling: sampling(&self.samples.iter().map(|it| it.flow).collect::<Vec<_>>()),
+            q_drift: drift(&q_series),
+            flow_rate_drift: drift(&flow_series),
+            q_sampling: sampling(&q_series),
+            flow_rate_sampling: sampling(&flow_series),
         }
     }
 }

@@ -197,11 +197,6 @@ impl Shape {
         walls.flat_map(|wall| places.iter().map(move |&x| turn(wall, x))).fold(0.0, f64::max)
     }
 
-    /// Whether moving particles with the usual smoothing length diverge over the wall.
-    pub fn is_rough(&self, dx: f64) -> bool {
-        self.sharpest_turn(dx) > ROUGH
-    }
-
     /// For each particle column c, which covers `c dx ..= (c + 1) dx`, the linear map from the offsets to the average
     /// of y(x) over the column as pairs (node, weight). It is exact, see [`HotSection::weights`].
     pub fn column_weights(&self, dx: f64, length: f64) -> Vec<Vec<(usize, f64)>> {

@@ -6,9 +6,9 @@ use std::path::Path;
 use rand_chacha::rand_core::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::scene::{Config, ShapeName};
+use crate::config::scene::{Config, Family, ShapeName};
 use crate::design::parametrisations::{Parametrisation, SplineSurface};
-use crate::design::shape::{default_nodes, read_columns, read_surface, Shape};
+use crate::design::shape::{default_nodes, read_columns, read_surface, Shape, ROUGH};
 use crate::error::BadInput;
 use crate::numerics::random::uniform;
 
@@ -46,6 +46,17 @@ impl Shape {
             true => bad.key("design.shape"),
             false => bad,
         })
+    }
+
+    /// The [sharpest turn](Self::sharpest_turn) of a configuration's wall where it is so rough that moving particles with the usual
+    /// smoothing length diverge over it; none where particles or walls are of other kinds, and of a configuration that the checks refuse.
+    pub fn rough_turn(config: &Config) -> Option<f64> {
+        let (facts, dx) = (config.method.facts(), config.resolution.dx);
+        let is_resolvable = dx > 0.0 && config.channel.length / dx < 1e5;
+        if config.scene != Family::HeatedChannel || !facts.moves || facts.wall_cells || !is_resolvable {
+            return None;
+        }
+        Some(Self::from_config(config).ok()?.sharpest_turn(dx)).filter(|turn| *turn > ROUGH)
     }
 }
 

@@ -580,60 +580,36 @@ impl SparseLu {
 
     /// x = A^-1 b, or A^-T b, on all threads.
     pub fn solve(&self, b: &[f64], transposed: bool) -> Vec<f64> {
-        Self::solve_side_by_side(&[(self, b)], transposed).remove(0)
-    }
-
-    /// The same of some systems whose matrices have one order.
-    ///
-    /// # Panics
-    /// If they have not.
-    pub fn solve_side_by_side(systems: &[(&Self, &[f64])], transposed: bool) -> Vec<Vec<f64>> {
-        let Some((Self { order, .. }, _)) = systems.first() else { return vec![] };
-        assert!(systems.iter().all(|(lu, _)| std::sync::Arc::ptr_eq(&lu.order, order)), "one order");
+        let (order, s) = (&self.order, self.size);
+        let nodes = || order.fronts.iter().flat_map(|front| &front.own).map(|&i| i as usize);
+        let mut by_place: Vec<f64> = nodes().flat_map(|i| &b[i * s..(i + 1) * s]).copied().collect();
         let all_passed = order.fronts.last().map_or(0, |root| root.passed + root.later.len());
-        let mut by_place: Vec<Vec<f64>> = vec![];
-        let mut passed: Vec<Vec<f64>> = vec![];
-        for (lu, b) in systems {
-            let s = lu.size;
-            let own = order.fronts.iter().flat_map(|front| &front.own);
-            by_place.push(own.flat_map(|&i| &b[i as usize * s..(i as usize + 1) * s]).copied().collect());
-            passed.push(vec![0.0; all_passed * s]);
-        }
-        let tasks: Vec<Task> = systems
-            .iter()
-            .zip(by_place.iter_mut().zip(&mut passed))
-            .map(|((lu, _), (x, passed))| Task { lu, x: Shared::new(x), passed: Shared::new(passed) })
-            .collect();
+        let mut passed = vec![0.0; all_passed * s];
+        let system = System { lu: self, x: Shared::new(&mut by_place), passed: Shared::new(&mut passed) };
         for stage in &order.stages {
-            let sweep = Sweep { tasks: &tasks, stage, transposed, is_forward: true };
-            run_rows(&sweep, tasks.len() * stage.len());
+            run_rows(&Sweep { system: &system, stage, transposed, is_forward: true }, stage.len());
         }
         for stage in order.stages.iter().rev() {
-            let sweep = Sweep { tasks: &tasks, stage, transposed, is_forward: false };
-            run_rows(&sweep, tasks.len() * stage.len());
+            run_rows(&Sweep { system: &system, stage, transposed, is_forward: false }, stage.len());
         }
-        let found = systems.iter().zip(&by_place).map(|((lu, b), by_place)| {
-            let (s, mut x) = (lu.size, vec![0.0; b.len()]);
-            let own = order.fronts.iter().flat_map(|front| &front.own);
-            for (&i, part) in own.zip(by_place.chunks_exact(s)) {
-                x[i as usize * s..(i as usize + 1) * s].copy_from_slice(part);
-            }
-            x
-        });
-        found.collect()
+        let mut x = vec![0.0; b.len()];
+        for (i, part) in nodes().zip(by_place.chunks_exact(s)) {
+            x[i * s..(i + 1) * s].copy_from_slice(part);
+        }
+        x
     }
 }
 
 /// A system that is solved: its unknowns in the order of elimination, and what each front passes on.
-struct Task<'a> {
+struct System<'a> {
     lu: &'a SparseLu,
     x: Shared<'a, f64>,
     passed: Shared<'a, f64>,
 }
 
-/// A stage of the solution of some systems.
+/// A stage of its solution.
 struct Sweep<'a> {
-    tasks: &'a [Task<'a>],
+    system: &'a System<'a>,
     stage: &'a [Range<usize>],
     transposed: bool,
     is_forward: bool,
@@ -644,14 +620,13 @@ impl RowKernel<f64> for Sweep<'_> {
 
     #[inline(always)]
     fn rows<L: Lanes<Real = f64>>(&self, rows: Range<usize>) {
-        for row in rows {
-            let task = &self.tasks[row % self.tasks.len()];
-            let fronts = self.stage[row / self.tasks.len()].clone();
+        for fronts in &self.stage[rows] {
+            let fronts = fronts.clone();
             match (self.is_forward, self.transposed) {
-                (true, false) => fronts.for_each(|k| task.forward::<L, false>(k)),
-                (true, true) => fronts.for_each(|k| task.forward::<L, true>(k)),
-                (false, false) => fronts.rev().for_each(|k| task.backward::<L, false>(k)),
-                (false, true) => fronts.rev().for_each(|k| task.backward::<L, true>(k)),
+                (true, false) => fronts.for_each(|k| self.system.forward::<L, false>(k)),
+                (true, true) => fronts.for_each(|k| self.system.forward::<L, true>(k)),
+                (false, false) => fronts.rev().for_each(|k| self.system.backward::<L, false>(k)),
+                (false, true) => fronts.rev().for_each(|k| self.system.backward::<L, true>(k)),
             }
         }
     }
@@ -720,7 +695,7 @@ fn subtract_products<L: Lanes<Real = f64>>(x: &mut [f64], a: &[f64], y: &[f64]) 
     }
 }
 
-impl Task<'_> {
+impl System<'_> {
     /// The own unknowns of a front, and what it passes on.
     ///
     /// # Safety

@@ -558,15 +558,8 @@ fn is_wish(merged: &Merged, key: &str, differs: bool) -> bool {
 
 /// Gives moving particles the smoothing length with which they stay between rough walls, if none is given.
 fn see_further(merged: &mut Merged, config: &Config) {
-    let facts = config.method.facts();
     let is_given = merged.places().contains_key("resolution.smoothing_length");
-    let dx = config.resolution.dx;
-    // What is bad is reported by the checks.
-    let is_resolvable = dx > 0.0 && config.channel.length / dx < 1e5;
-    if config.scene != Family::HeatedChannel || !facts.moves || facts.wall_cells || is_given || !is_resolvable {
-        return;
-    }
-    if Shape::from_config(config).is_ok_and(|wall| wall.is_rough(dx)) {
+    if !is_given && Shape::rough_turn(config).is_some() {
         merged.set("resolution.smoothing_length", Value::from(ROUGH_SMOOTHING_LENGTH), "a rough wall");
     }
 }

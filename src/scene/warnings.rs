@@ -118,17 +118,8 @@ pub fn of_measured(config: &Config, found: &Diagnostics) -> Vec<Warning> {
 
 /// Over a rough wall moving particles see further than usual, where they are less accurate.
 fn rough_wall(config: &Config) -> Option<Warning> {
-    let facts = config.method.facts();
-    let usual = Config::default().resolution.smoothing_length;
-    if config.scene != Family::HeatedChannel
-        || !facts.moves
-        || facts.wall_cells
-        || config.resolution.smoothing_length <= usual
-    {
-        return None;
-    }
-    let turn = Shape::from_config(config).ok()?.sharpest_turn(config.resolution.dx);
-    (turn > ROUGH).then(|| {
+    let is_longer = config.resolution.smoothing_length > Config::default().resolution.smoothing_length;
+    Shape::rough_turn(config).filter(|_| is_longer).map(|turn| {
         let problem = format!(
             "the wall is rough: its slope changes by {turn:.1} over a spacing; particles see {} spacings there, at which Q over such walls \
              is 1 to 3 % off",
