@@ -85,7 +85,8 @@ pub struct FigureError {
 
 /// The order at which figures of a configuration converge with the spacing.
 pub fn order(config: &Config) -> f64 {
-    // Around bodies in space figures were seen to converge with the first order only (src/sph/README.md).
+    // Around bodies in space, and on the lattice between walls, figures were seen to converge with the first order at best
+    // (src/sph/README.md); `fixed` still takes the order of the consistent method, 2, so their errors come out too small.
     match config.is_around_shapes() && !config.is_around_bodies() {
         true => 2.0,
         false => config.method.facts().order,
