@@ -4,6 +4,8 @@ use crate::support::noise::noise;
 use candle_core::{Device, Tensor, Var};
 use hydrograd::config::scene::KernelName;
 use hydrograd::numerics::lanes::{Lanes, Real};
+use hydrograd::sph::fixed::channel::EDGE;
+use hydrograd::sph::fixed::ghosts::temperature;
 use hydrograd::sph::fixed::grid::{Fields, Grid};
 use hydrograd::sph::fixed::steady::SteadyOptions;
 use hydrograd::sph::fixed::stencil::{derivative, stencil, Weight};
@@ -374,25 +376,33 @@ fn wall(fixed: &Fixed<f64>, nodes: &[f64]) -> Vec<f64> {
 
 /// Q through x = 0.9 in rho u T units, and its derivative by the state.
 fn heat_outflow(fixed: &Fixed<f64>, state: &[f64]) -> (f64, Vec<f64>) {
-    let (c, n, nx) = (&fixed.channel, fixed.particles(), fixed.channel.columns);
-    let (weights, volumes) = (fixed.section_weights(), fixed.volumes(state));
-    let stiffness = c.density * c.sound_speed * c.sound_speed;
-    let mut bar = vec![0.0; state.len()];
-    let mut q = 0.0;
-    for i in 0..fixed.fluid_particles() {
-        let share = (1.0 - (c.x(i % nx) - 0.9).abs() / c.spacing).max(0.0);
-        if share < 1e-9 {
-            continue;
-        }
-        let weight = share * weights[i] * volumes[i] / c.spacing;
-        let [u, p, t] = [row::U, row::P, row::T].map(|r| state[r * n + i]);
-        let rho = 1.0 + p / stiffness;
-        q += weight * rho * u * t;
-        bar[row::U * n + i] = weight * rho * t;
-        bar[row::P * n + i] = weight / stiffness * u * t;
-        bar[row::T * n + i] = weight * rho * u;
-    }
-    (q, bar)
+    let state = Var::from_slice(state, (row::COUNT, fixed.particles()), &Device::Cpu).expect("a tensor");
+    let heat = fixed.carried(&state, 0.9).expect("heat");
+    let heat = (heat / fixed.channel.spacing).expect("heat");
+    let bars = heat.backward().expect("a gradient");
+    let bar = bars.get(&state).expect("a gradient").flatten_all().expect("one row").to_vec1().expect("numbers");
+    (heat.to_scalar().expect("a number"), bar)
+}
+
+/// In a steady flow the heat that pairs carry through any section is that of the walls, but for what is conducted along x.
+#[test]
+fn the_heat_of_the_walls_flows_out() {
+    let fixed = Fixed::<f64>::new(channel(0.02)).expect("a channel");
+    let bump: Vec<f64> = (0..25).map(|k| 0.01 * (0.4 * f64::from(k)).sin()).collect();
+    let flat = vec![0.0; fixed.channel.columns];
+    let mut state = fixed.state(&wall(&fixed, &bump), &flat, &|y| 115.0 * y * (0.2 - y));
+    fixed.settle(&mut state, 20, 20, 1e-7, 40_000);
+    let tensor = Tensor::from_slice(&state, (row::COUNT, fixed.particles()), &Device::Cpu).expect("a tensor");
+    let at = |x: f64| {
+        let number = |heat: candle_core::Result<Tensor>| heat.expect("heat").to_scalar::<f64>().expect("a number");
+        (number(fixed.carried(&tensor, x)), number(fixed.heating(&tensor, x)))
+    };
+    let conducted = |x: f64| at(x).1 / at(x).0 - 1.0;
+    // Far behind the hot wall nothing is conducted along x; at its end much is.
+    assert!(conducted(0.9).abs() < 1e-3, "{}", conducted(0.9));
+    assert!(conducted(0.7).abs() > 2e-3, "{}", conducted(0.7));
+    // Above a curved wall columns have different heights, and the section may lie anywhere between columns.
+    assert!((at(0.85).0 / at(0.913).0 - 1.0).abs() < 1e-3);
 }
 
 /// Rows of nodes and Q of finite elements.
@@ -550,5 +560,111 @@ fn derivatives_of_quadratics_are_exact() {
         close(sum(&still, &|w| w.lxy), 5.0);
         let line = derivative(&s);
         close((0..5).map(|i| line[i] * (i as f64 - 2.0) * dx).sum(), 1.0);
+    }
+}
+
+/// Solves a dense system in place by elimination without exchange of rows, which a diagonally dominant one needs no more.
+fn solved(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
+    let n = b.len();
+    for k in 0..n {
+        let (above, below) = a.split_at_mut(k + 1);
+        let pivot = &above[k];
+        for (i, row) in below.iter_mut().enumerate() {
+            let factor = row[k] / pivot[k];
+            if factor != 0.0 {
+                (k..n).for_each(|j| row[j] -= factor * pivot[j]);
+                b[k + 1 + i] -= factor * b[k];
+            }
+        }
+    }
+    for k in (0..n).rev() {
+        let rest: f64 = (k + 1..n).map(|j| a[k][j] * b[j]).sum();
+        b[k] = (b[k] - rest) / a[k][k];
+    }
+    b
+}
+
+/// How much further towards the hot side than `acts` an edge acts whose cell, the one around x = 0, has a hot share of `share`.
+fn further(share: f64, acts: f64) -> f64 {
+    const RADIUS: isize = 16;
+    let exact = |x: f64, y: f64| (x * x + y * y).sqrt().sqrt() * (0.5 * y.atan2(x)).sin();
+    let stencil = stencil::<f64>(&Kernel::new(KernelName::QuinticSpline, 2, 1.0), 1.0);
+    let inside = |i: isize, j: isize| (i as f64).hypot(j as f64 + 0.5) < RADIUS as f64;
+    let cells: Vec<(isize, isize)> =
+        (0..RADIUS).flat_map(|j| (-RADIUS..=RADIUS).map(move |i| (i, j))).filter(|&(i, j)| inside(i, j)).collect();
+    let number: std::collections::BTreeMap<(isize, isize), usize> = cells.iter().copied().zip(0..).collect();
+    let place = |i: isize, j: isize| (i as f64 - acts, j as f64 + 0.5);
+    // Near and far ghost of a column from its first two rows; the hot wall has the temperature 0.
+    type One = <f64 as Real>::Portable;
+    let ghosts = |i: isize, rows: [f64; 2]| {
+        let hot = if i == 0 { share } else { f64::from(u8::from(i > 0)) };
+        let ghosts = temperature::<One>(rows.map(One::splat), One::splat(hot), One::zero(), One::zero());
+        ghosts.map(|ghost| ghost.sum() / One::COUNT as f64)
+    };
+    let mut matrix = vec![vec![0.0; cells.len()]; cells.len()];
+    let mut right = vec![0.0; cells.len()];
+    for (row, &(i, j)) in cells.iter().enumerate() {
+        for dj in -2..=2_isize {
+            for di in -2..=2_isize {
+                let weight = &stencil[(dj + 2) as usize][(di + 2) as usize];
+                let weight = 2.0 * (weight.lxx + weight.lyy);
+                let (column, other) = (i + di, j + dj);
+                let mut add = |j: isize, factor: f64| match number.get(&(column, j)) {
+                    Some(&at) => matrix[row][at] += weight * factor,
+                    None => {
+                        let (x, y) = place(column, j);
+                        right[row] -= weight * factor * exact(x, y);
+                    }
+                };
+                match usize::try_from(-1 - other) {
+                    Ok(ghost) => {
+                        add(0, ghosts(column, [1.0, 0.0])[ghost]);
+                        add(1, ghosts(column, [0.0, 1.0])[ghost]);
+                    }
+                    Err(_) => add(other, 1.0),
+                }
+                matrix[row][row] -= weight;
+            }
+        }
+    }
+    let found = solved(matrix, right);
+    // The shift that fits best between a third and two thirds of the radius.
+    let (mut product, mut square) = (0.0, 0.0);
+    for (&(i, j), found) in cells.iter().zip(found) {
+        let (x, y) = place(i, j);
+        if (0.33..0.66).contains(&(x.hypot(y) / RADIUS as f64)) {
+            let slope = (exact(x - 1e-4, y) - exact(x + 1e-4, y)) / 2e-4;
+            product += slope * (found - exact(x, y));
+            square += slope * slope;
+        }
+    }
+    product / square
+}
+
+/// The table is that of Laplace's equation on the lattice of a half disc; a share that is the covered part of the cell is not.
+#[test]
+fn the_edge_of_the_hot_wall_acts_where_it_is() {
+    for (k, acts) in EDGE.into_iter().enumerate() {
+        let further = further(k as f64 / 16.0, acts);
+        assert!(further.abs() < 2e-3, "share {k}/16: {further}");
+    }
+    let covered = further(0.0, 0.5);
+    assert!(covered > 0.1, "{covered}");
+}
+
+/// A hot wall has its length, wherever its edges are in their cells.
+#[test]
+fn the_shares_of_a_hot_wall() {
+    for shift in 0..10 {
+        let hot = [0.25 + 0.001 * f64::from(shift), 0.75];
+        let channel = Channel { hot, ..channel(0.01) };
+        let share = channel.hot_share();
+        let first = share.iter().position(|&share| share > 0.0).expect("a hot wall");
+        // The first column that is not cold, and how far from its middle the edge acts.
+        let at = (share[first] * 16.0).floor() as usize;
+        let within = share[first] * 16.0 - at as f64;
+        let acts = EDGE[at] + within * (EDGE[(at + 1).min(16)] - EDGE[at]);
+        assert!((channel.x(first) + 0.01 * acts - hot[0]).abs() < 1e-6, "{share:?}");
+        assert!(share[first + 1] == 1.0 || share[first] == 1.0, "{share:?}");
     }
 }

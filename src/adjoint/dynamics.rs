@@ -95,6 +95,9 @@ pub struct Fields {
     /// Heat flux from the walls to the fluid, in units of density * temperature * volume / time, `[]`; for some
     /// objectives.
     pub wall_heat: Option<Tensor>,
+    /// Heat that the method's own fluxes carry through the section of the objective, in the same unit, `[]`; of methods
+    /// whose heat that flows out is not the sum of rho u T over particles.
+    pub carried_heat: Option<Tensor>,
     /// Kind of each particle, `[N]`, see [`crate::particles::tag`].
     pub tags: Arc<Vec<u8>>,
     /// Whether a particle takes part in the flow, `[N]`: fluid particles, and wall particles with fluid in reach.

@@ -198,6 +198,7 @@ impl<R: Sweeps> Parts<R> {
             walls_slide: false,
             heat: self.heat.take(),
             wall_heat_until: None,
+            section: None,
             scratch: Scratch::default(),
         };
         Standard::new(flow, layout, laws)

@@ -1,7 +1,7 @@
 //! The error of each figure of a run: by its spacing, by the distance from the steady state, and by the sampling of moving particles.
 //!
-//! The part by the spacing follows from the same run at coarser spacings ([`grid_convergence`]). Two runs may agree in one figure by
-//! chance, so no figure has less than half of the relative error that the run's figures have in the middle ([`POOLED`]).
+//! The part by the spacing follows from the same run at coarser spacings ([`crate::numerics::grid_convergence`]). Two runs may agree in one figure by
+//! chance, so no figure has less than half of the relative error that the run's figures have in the middle (`POOLED`).
 //!
 //! The error is meant as one that 19 of 20 true errors do not exceed; `python3 scripts/figures.py errors` compares it with finite
 //! elements and exact solutions.
@@ -12,7 +12,7 @@ use crate::numerics::grid_convergence::{at_finest, observed_order, Point};
 use serde::Serialize;
 use serde_json::Value;
 
-/// Figures that have an error; of each shape those of [`OF_SHAPES`].
+/// Figures that have an error; of each shape those of `OF_SHAPES`.
 const FIGURES: [&str; 17] = [
     "q",
     "objective",
@@ -85,8 +85,8 @@ pub struct FigureError {
 
 /// The order at which figures of a configuration converge with the spacing.
 pub fn order(config: &Config) -> f64 {
-    // Around bodies in space, and on the lattice between walls, figures were seen to converge with the first order at best
-    // (src/sph/README.md); `fixed` still takes the order of the consistent method, 2, so their errors come out too small.
+    // Fixed particles around bodies in space, and on the lattice between walls, converge more slowly than those around shapes in the
+    // plane (src/sph/README.md).
     match config.is_around_shapes() && !config.is_around_bodies() {
         true => 2.0,
         false => config.method.facts().order,

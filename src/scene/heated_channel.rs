@@ -46,6 +46,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
         ..Parts::new(config, lattice)
     };
     let (mut model, mut base) = parts.assemble(|place| start_velocity(config, place));
+    model.flow.section = Some(config.objective.target_x);
     if config.objective.kind == ObjectiveKind::WallHeat {
         model.flow.wall_heat_until = Some(config.objective.target_x);
     }

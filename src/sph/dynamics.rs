@@ -87,6 +87,8 @@ impl<R: Sweeps> Dynamics for Sph<R> {
     fn look(&self, run: &mut Solver<R>) -> Result<Fields, RunError> {
         run.look()?;
         let wall_heat = self.model.wall_heat_until.map(|until| run.wall_heat_flux(until)).transpose()?;
+        let carried_heat = run.carried_heat()?;
+        let scalar = |heat: f64| Tensor::new(heat, &Device::Cpu)?.to_dtype(R::DTYPE);
         let (model, n, looked) = (&*self.model, self.model.particles(), &run.looked);
         let tensor = |values: &[R]| Tensor::from_slice(values, (values.len() / n, n), &Device::Cpu);
         let go = || {
@@ -105,7 +107,8 @@ impl<R: Sweeps> Dynamics for Sph<R> {
                     true => None,
                     false => Some(tensor(&looked.temperature)?),
                 },
-                wall_heat: wall_heat.map(|heat| Tensor::new(heat, &Device::Cpu)?.to_dtype(R::DTYPE)).transpose()?,
+                wall_heat: wall_heat.map(scalar).transpose()?,
+                carried_heat: carried_heat.map(scalar).transpose()?,
             };
             candle_core::Result::Ok(self.fields_of(run.step, shown, &run.neighbourhood.list))
         };
@@ -232,7 +235,7 @@ impl<R: Sweeps> Sph<R> {
 
     fn fields_of(&self, step: usize, shown: Shown, list: &NeighbourList) -> Fields {
         let model = &*self.model;
-        let Shown { position, velocity, density, mass, temperature, wall_heat } = shown;
+        let Shown { position, velocity, density, mass, temperature, wall_heat, carried_heat } = shown;
         Fields {
             step,
             time: step as f64 * model.dt,
@@ -242,6 +245,7 @@ impl<R: Sweeps> Sph<R> {
             mass,
             temperature,
             wall_heat,
+            carried_heat,
             tags: self.tags.clone(),
             active: Arc::new((0..model.particles()).map(|i| model.is_fluid(i) || list.count[i] > 0).collect()),
         }

@@ -88,6 +88,8 @@ pub struct Flow<R> {
     pub heat: Option<Heat<R>>,
     /// The heat of the walls is summed over fluid with x below this, if an objective needs it.
     pub wall_heat_until: Option<f64>,
+    /// x of the section through which heat flows out, if there is one.
+    pub section: Option<f64>,
     /// Buffers that steps and gradients reuse, so that they do not allocate.
     pub scratch: Scratch<R>,
 }
@@ -114,6 +116,7 @@ impl<R> Flow<R> {
             walls_slide: false,
             heat: None,
             wall_heat_until: None,
+            section: None,
             scratch: Scratch::default(),
         }
     }

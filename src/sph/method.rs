@@ -221,6 +221,8 @@ pub struct Shown {
     pub temperature: Option<Tensor>,
     /// Heat flux of the walls, see [`crate::adjoint::Fields::wall_heat`].
     pub wall_heat: Option<Tensor>,
+    /// Heat through the section, see [`crate::adjoint::Fields::carried_heat`].
+    pub carried_heat: Option<Tensor>,
 }
 
 /// Makes steps without a graph, in its own buffers.
@@ -238,6 +240,14 @@ pub trait Worker<R>: Debug + Send {
     /// Heat that walls give to the conducting fluid with x < `until`, for the state of the last [`Self::look`]. Its
     /// unit is density * temperature * volume / time (times the heat capacity: power).
     fn wall_heat(&self, place: &Place<'_, R>, state: &[R], until: f64) -> Result<f64, RunError>;
+    /// Heat that the method's own fluxes carry through [`Flow::section`], in the same unit; none for a method whose fluxes
+    /// are products of the particles' fields.
+    ///
+    /// # Errors
+    /// Tensor errors of composed operators.
+    fn carried_heat(&self, _place: &Place<'_, R>, _state: &[R]) -> Result<Option<f64>, RunError> {
+        Ok(None)
+    }
     /// The acceleration along x that held the flow rate or the power in the last step; none where the force is given.
     fn drive(&self) -> Option<f64> {
         None

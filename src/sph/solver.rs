@@ -187,6 +187,16 @@ impl<R: Sweeps> Solver<R> {
         worker.wall_heat(&Place { neighbourhood, times, step: *step, parts: pace.parts, device }, state, until)
     }
 
+    /// Heat that the method's own fluxes carry through the section, see [`Fields::carried_heat`](crate::adjoint::Fields).
+    ///
+    /// # Errors
+    /// Tensor errors of composed operators.
+    pub fn carried_heat(&mut self) -> Result<Option<f64>, RunError> {
+        let Self { model, state, step, pace, neighbourhood, worker, device, .. } = self;
+        let times = pace.times(model.dt, *step);
+        worker.carried_heat(&Place { neighbourhood, times, step: *step, parts: pace.parts, device }, state)
+    }
+
     /// Mass of a particle in sums over a cross-section, as of the last [`Self::look`].
     pub fn mass(&self, i: usize) -> f64 {
         self.looked.mass.get(i).map_or(self.model.mass, |mass| mass.f64())
@@ -386,6 +396,7 @@ impl<R: Sweeps> TensorSolver<R> {
             mass: back(&shown.mass)?,
             temperature: shown.temperature.as_ref().map(back).transpose()?,
             wall_heat: shown.wall_heat.as_ref().map(back).transpose()?,
+            carried_heat: shown.carried_heat.as_ref().map(back).transpose()?,
         })
     }
 }

@@ -10,7 +10,8 @@
 //!   low at ten rows.
 //! * `flux`: the fluxes without normalisation: sum_j W m_j u_j, sum_j W V_j u_j, sum_j W m_j u_j T_j over fluid
 //!   particles. With targets up to three spacings beyond the walls every particle counts with its whole kernel, so the
-//!   sum over the targets is conservative: heat through the targets balances heat through the walls.
+//!   sum over the targets is conservative: heat through the targets balances heat through the walls. Fixed particles between
+//!   walls, whose pairs carry products of means, have their own sum for that, [`Fields::carried_heat`].
 
 use crate::adjoint::Fields;
 pub use crate::config::scene::Interpolation as Mode;
@@ -54,7 +55,11 @@ impl Outlet {
         if self.mode == Mode::Flux {
             let flux = fields.mass.mul(&velocity)?;
             let sums = sums(&[&flux, &flux.div(&fields.density)?, &flux.mul(&temperature)?])?.sum(1)?;
-            return Ok(Flows { mass: sums.get(0)?, volume: sums.get(1)?, heat: sums.get(2)? });
+            let heat = match &fields.carried_heat {
+                Some(carried) => carried.affine(1.0 / self.spacing, 0.0)?,
+                None => sums.get(2)?,
+            };
+            return Ok(Flows { mass: sums.get(0)?, volume: sums.get(1)?, heat });
         }
         let sums = sums(&[&velocity.ones_like()?, &fields.density, &velocity, &temperature])?;
         // Where no particle is in reach, all sums are 0, and so is the average.

@@ -145,5 +145,6 @@ fn shown<R: Real>(model: &Consistent<R>, Known { known, masses, wall_heat }: Kno
         mass: masses,
         temperature: if l.heat { Some(known.narrow(0, l.temperature(), 1)?) } else { None },
         wall_heat,
+        carried_heat: None,
     })
 }

@@ -146,6 +146,12 @@ impl<R: Real> Worker<R> for Run<R> {
         let heating = heating.and_then(|heat| heat.to_dtype(DType::F64)?.to_scalar::<f64>());
         heating.map_err(RunError::tensor(place.step))
     }
+    fn carried_heat(&self, place: &Place<'_, R>, state: &[R]) -> Result<Option<f64>, RunError> {
+        let Some(x) = self.model.flow.section else { return Ok(None) };
+        let carried = self.model.tensor(state).and_then(|state| self.model.lattice.carried(&state, x));
+        let carried = carried.and_then(|heat| heat.to_dtype(DType::F64)?.to_scalar::<f64>());
+        carried.map(Some).map_err(RunError::tensor(place.step))
+    }
     fn drive(&self) -> Option<f64> {
         self.drive
     }
@@ -187,6 +193,7 @@ impl<R: Real> Steady<R> for FixedParticles<R> {
     fn shown(&self, state: &Tensor) -> candle_core::Result<Shown> {
         let n = self.flow.particles();
         let wall_heat = self.flow.wall_heat_until.map(|until| self.lattice.heating(state, until)).transpose()?;
+        let carried_heat = self.flow.section.map(|x| self.lattice.carried(state, x)).transpose()?;
         let mass = self.lattice.masses(state)?;
         let density = vec![R::of(self.flow.equation_of_state.reference_density); n];
         Ok(Shown {
@@ -196,6 +203,7 @@ impl<R: Real> Steady<R> for FixedParticles<R> {
             mass,
             temperature: Some(state.narrow(0, row::T, 1)?),
             wall_heat,
+            carried_heat,
         })
     }
 }

@@ -100,6 +100,7 @@ impl<R: Sweeps> Recorder<R> for Tape<R> {
                     false => None,
                 },
                 wall_heat: None,
+                carried_heat: None,
             })
         };
         go().map_err(RunError::tensor(place.step))
