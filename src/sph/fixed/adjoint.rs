@@ -4,10 +4,10 @@
 //! mass flux behind the kick has given its share to u_bar and v_bar, U = dt u_bar/(rho D), V likewise; all 0 in ghosts. A
 //! pair's flux M_ab = -M_ba then has the cotangent (that by M_ab less that by M_ba)
 //!
-//! * behind the kick N = A_a - A_b - (B_a + B_b)(T_b - T_a)/2;
+//! * behind the kick N = A_a - A_b as it moves mass, and -(B_a + B_b)(T_b - T_a)/2 as it carries heat, by the weights c;
 //! * before it N = -[(U_a + U_b)(u_b - u_a) + (V_a + V_b)(v_b - v_a)]/2;
 //!
-//! and m_a gets sum g N, p_a gets delta c dx/c^2 sum w N, T_a gets sum alpha Omega (rho_b B_b - rho_a B_a) + M (B_a + B_b)/2
+//! and m_a gets sum g N (and sum c N), p_a gets delta c dx/c^2 sum w N, T_a gets sum alpha Omega (rho_b B_b - rho_a B_a) + M (B_a + B_b)/2
 //! and u_a, v_a the like; ghosts are rows of these sums too, and hand on what they get to the rows they are made of. The
 //! metric gets l alpha (rho_a B_a - rho_b B_b)(T_b - T_a) and the like: sums over columns, see [`super::metric`].
 
@@ -68,6 +68,13 @@ impl<L: Lanes> Sums<L> {
     fn zero() -> Self {
         let zero = L::zero();
         Self { inside: [zero; 2], ghost: [zero; 2], row: [zero; 2], p: zero, d: zero, s: zero, k: zero }
+    }
+    /// The cotangent of a pair's flux by the weights for what the flow carries, besides what [`Self::add`] is given.
+    #[inline(always)]
+    fn carry(&mut self, weight: &Weight<L::Real>, flux_bar: L, diffusion: L) {
+        self.row[0] = L::splat(weight.cx).mul_add(flux_bar, self.row[0]);
+        self.row[1] = L::splat(weight.cy).mul_add(flux_bar, self.row[1]);
+        self.p = (L::splat(weight.laplacian) * diffusion).mul_add(flux_bar, self.p);
     }
     /// A pair's N, and the factor z of its l in the metric's cotangent.
     #[inline(always)]
@@ -152,15 +159,16 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
                         let there = |field| c.get::<L>(field, other, pair.column);
                         let (b_there, difference) = (there(field::BAR_T), there(field::T) - t);
                         let both = half * (b + b_there);
-                        let flux_bar = a - there(field::BAR_P) - both * difference;
+                        let flux_bar = a - there(field::BAR_P);
                         let spread = e - alpha * c.density(pair.p) * b_there;
-                        t_bar = pair.flux.mul_add(both, t_bar) - pair.omega * spread;
-                        advected = pair.flux.mul_add(difference, advected);
+                        t_bar = pair.carrying.mul_add(both, t_bar) - pair.omega * spread;
+                        advected = pair.carrying.mul_add(difference, advected);
                         if METRIC {
                             conducted = pair.omega.mul_add(difference, conducted);
                             mass += pair.flux;
                         }
                         sums.add::<METRIC>(pair.weight, flux_bar, pairs.diffusion, spread * difference);
+                        sums.carry(pair.weight, -(both * difference), pairs.diffusion);
                     }
                     sums.end_row(c.fixed.grid.is_fluid(other));
                 }

@@ -157,7 +157,7 @@ impl<R: Real> Fixed<R> {
         let heat = self.sum(|i, j, there| {
             let (w, other) = (&self.stencil[j][i], there(&ghosts)?);
             let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(0.5 * weight.f64(), 0.0);
-            let carried = (both(&mx, w.gx)? + both(&my, w.gy)?)?.mul(&there(&outside)?)?.mul(&(&other + &t)?)?;
+            let carried = (both(&mx, w.cx)? + both(&my, w.cy)?)?.mul(&there(&outside)?)?.mul(&(&other + &t)?)?;
             let conducted = self.omega(&metric, i, j, there)?.mul(&rho)?.mul(&(&other - &t)?)?;
             conducted.affine(c.diffusivity, 0.0)? - carried
         })?;
@@ -189,7 +189,7 @@ impl<R: Real> Fixed<R> {
             let crossing = Tensor::from_vec(crossing, (1, nx), state.device())?.to_dtype(state.dtype())?;
             let w = &self.stencil[j][i];
             let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(0.5 * weight.f64(), 0.0);
-            let carried = (both(&mx, w.gx)? + both(&my, w.gy)?)?.mul(&(there(&padded)? + &t)?)?;
+            let carried = (both(&mx, w.cx)? + both(&my, w.cy)?)?.mul(&(there(&padded)? + &t)?)?;
             carried.mul(&there(&inside)?)?.broadcast_mul(&crossing)
         })?;
         heat.sum_all()?.affine(c.density * c.spacing * c.spacing, 0.0)
@@ -216,19 +216,20 @@ impl<R: Real> Fixed<R> {
         let inside = pad(&rho.ones_like()?)?;
         let (padded, gradients) = (pad(&rho)?, [pad(&gradient[0])?, pad(&gradient[1])?]);
         let omega = |i: usize, j: usize, there: &dyn Fn(&Tensor) -> Result<Tensor>| self.omega(&metric, i, j, there);
-        // The mass flux M of all offsets for velocities u and v.
-        let fluxes = |u: &Tensor, v: &Tensor| -> Result<Vec<Tensor>> {
+        // The mass flux M of all offsets for velocities u and v, with the weights for the mass or for what it carries.
+        let fluxes = |u: &Tensor, v: &Tensor, carrying: bool| -> Result<Vec<Tensor>> {
             let mx = parabola(&(&d * &rho)?.mul(u)?)?;
             let my = odd(&rho.mul(&(v - s.mul(u)?)?)?)?;
             let mut fluxes = Vec::new();
             self.sum(|i, j, there| {
                 let w = w(i, j);
                 let both = |f: &Tensor, weight: f64| (self.inner(f)? + there(f)?)?.affine(weight, 0.0);
-                let convected = (both(&mx, w.gx.f64())? + both(&my, w.gy.f64())?)?;
-                let (x, y) = ((i as f64 - REACH as f64) * c.spacing, (j as f64 - REACH as f64) * c.spacing);
-                let rise =
-                    ((there(&padded)? - &rho)? - (both(&gradients[0], 0.5 * x)? + both(&gradients[1], 0.5 * y)?)?)?;
-                let diffused = rise.affine(c.delta * c.spacing * c.sound_speed * w.laplacian.f64(), 0.0)?;
+                let [x, y] = if carrying { [w.cx, w.cy] } else { [w.gx, w.gy] };
+                let convected = (both(&mx, x.f64())? + both(&my, y.f64())?)?;
+                // The gradients' part of the diffusion has the same weights: g . r/2 (grad_a + grad_b) of rho, w r/2 = g.
+                let slope = (both(&gradients[0], x.f64())? + both(&gradients[1], y.f64())?)?;
+                let rise = ((there(&padded)? - &rho)?.affine(w.laplacian.f64(), 0.0)? - slope)?;
+                let diffused = rise.affine(c.delta * c.spacing * c.sound_speed, 0.0)?;
                 let flux = (convected - diffused.mul(&there(&inside)?)?)?;
                 fluxes.push(flux.clone());
                 Ok(flux)
@@ -241,7 +242,7 @@ impl<R: Real> Fixed<R> {
             k - (k > WIDTH * WIDTH / 2) as usize
         };
         let mass = (&rho * &d)?;
-        let before = fluxes(&u, &v)?;
+        let before = fluxes(&u, &v, false)?;
         let kick = |f: &Tensor| -> Result<Tensor> {
             let ghosts = parabola(f)?;
             self.sum(|i, j, there| {
@@ -269,13 +270,13 @@ impl<R: Real> Fixed<R> {
                 u.broadcast_add(&drive.composed(c.dt, &sum(&masses.mul(&u)?)?, &sum(&masses)?)?)?
             }
         };
-        let behind = fluxes(&u, &v)?;
+        let [behind, carrying] = [fluxes(&u, &v, false)?, fluxes(&u, &v, true)?];
         let out = self.sum(|i, j, _| Ok(behind[number(i, j)].clone()))?;
         let p = (&p - out.div(&d)?.affine(c.dt * stiffness, 0.0)?)?;
         let ghosts = self.temperature_with_ghosts(&t, &metric)?;
         let heat = self.sum(|i, j, there| {
             let conduction = omega(i, j, there)?.mul(&rho)?.affine(c.diffusivity, 0.0)?;
-            let factor = (conduction - behind[number(i, j)].affine(0.5, 0.0)?)?;
+            let factor = (conduction - carrying[number(i, j)].affine(0.5, 0.0)?)?;
             factor.mul(&(there(&ghosts)? - &t)?)
         })?;
         let t = (&t + heat.div(&mass)?.affine(c.dt, 0.0)?)?;

@@ -368,6 +368,8 @@ pub(super) struct Pair<'a, L: Lanes> {
     pub weight: &'a Weight<L::Real>,
     /// M_ab.
     pub flux: L,
+    /// M_ab with the weights for what the flow carries.
+    pub carrying: L,
     /// Omega_ab.
     pub omega: L,
     /// g_x (D_a + D_b) - g_y (S_a + S_b).
@@ -413,10 +415,11 @@ impl<'a, L: Lanes> Pairs<'a, L> {
         }
         let diffused = L::splat(weight.laplacian) * self.diffusion * (own.p - p);
         let flux = L::splat(weight.gx).mul_add(mx, L::splat(weight.gy).mul_add(my, diffused));
+        let carrying = L::splat(weight.cx).mul_add(mx, L::splat(weight.cy).mul_add(my, diffused));
         let (d, s, k) = (own.d + d, own.s + s, own.k + k);
         let omega = L::splat(weight.lxx).mul_add(d, L::splat(weight.lyy).mul_add(k, -(L::splat(weight.lxy) * s)));
         let push = L::splat(weight.gx).mul_add(d, -(L::splat(weight.gy) * s));
-        Pair { weight, flux, omega, push, p, column }
+        Pair { weight, flux, carrying, omega, push, p, column }
     }
 }
 
@@ -510,7 +513,7 @@ impl<R: Real> RowKernel<R> for Advance<'_, R> {
                     for i in 0..WIDTH {
                         let pair = pairs.pair(c, &own, i);
                         mass += pair.flux;
-                        let factor = pair.omega.mul_add(conduction, pair.flux * half);
+                        let factor = pair.omega.mul_add(conduction, pair.carrying * half);
                         heat = factor.mul_add(c.get::<L>(field::T, other, pair.column) - t, heat);
                     }
                 }
