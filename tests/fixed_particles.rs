@@ -378,7 +378,6 @@ fn wall(fixed: &Fixed<f64>, nodes: &[f64]) -> Vec<f64> {
 fn heat_outflow(fixed: &Fixed<f64>, state: &[f64]) -> (f64, Vec<f64>) {
     let state = Var::from_slice(state, (row::COUNT, fixed.particles()), &Device::Cpu).expect("a tensor");
     let heat = fixed.carried(&state, 0.9).expect("heat");
-    let heat = (heat / fixed.channel.spacing).expect("heat");
     let bars = heat.backward().expect("a gradient");
     let bar = bars.get(&state).expect("a gradient").flatten_all().expect("one row").to_vec1().expect("numbers");
     (heat.to_scalar().expect("a number"), bar)

@@ -15,7 +15,6 @@ pub const FACTS: Facts = Facts {
     steady: true,
     divides_steps: false,
     force_region: false,
-    order: 1.0,
     ..super::consistent::FACTS
 };
 

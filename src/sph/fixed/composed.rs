@@ -182,9 +182,11 @@ impl<R: Real> Fixed<R> {
         let pad = |f: &Tensor| f.pad_with_zeros(0, REACH, REACH);
         let (mx, my) = (pad(&(&d * &rho)?.mul(&u)?)?, pad(&rho.mul(&(v - s.mul(&u)?)?)?)?);
         let (inside, padded) = (pad(&rho.ones_like()?)?, pad(&t)?);
+        // The first column behind the section. (By its number, because a section may lie on a column but for rounding.)
+        let behind = ((x - c.first_column_x) / c.spacing - 1e-6).ceil() as isize;
         let heat = self.sum(|i, j, there| {
             let ahead = i as isize - REACH as isize;
-            let crosses = |k: usize| ahead > 0 && c.x(k) < x && c.x(k) + ahead as f64 * c.spacing >= x;
+            let crosses = |k: usize| (k as isize) < behind && k as isize + ahead >= behind;
             let crossing: Vec<R> = (0..nx).map(|k| R::of(f64::from(u8::from(crosses(k))))).collect();
             let crossing = Tensor::from_vec(crossing, (1, nx), state.device())?.to_dtype(state.dtype())?;
             let w = &self.stencil[j][i];

@@ -60,9 +60,12 @@ impl<R: Real> Fixed<R> {
         let Some(outlet) = (0..channel.columns).rev().find(|&i| channel.x(i) <= channel.outlet_above + near) else {
             return Err(BadInput::new("the outlet begins before the first column of particles"));
         };
+        // A particle at the outlet sees columns with its own temperature on all of its reach, and not the inlet's behind them.
+        let outlet = outlet.min(channel.columns - 1 - grid::REACH);
         let grid = Grid::new(channel.columns, channel.rows);
-        let mut open: Vec<R> =
-            (0..channel.columns).map(|i| R::of((channel.x(i) >= channel.inlet_below - near) as u8 as f64)).collect();
+        // Nor does one behind the inlet see the outlet's columns.
+        let is_open = |i: usize| i >= grid::REACH && channel.x(i) >= channel.inlet_below - near;
+        let mut open: Vec<R> = (0..channel.columns).map(|i| R::of(f64::from(u8::from(is_open(i))))).collect();
         open.resize(channel.columns + grid::UNIT, R::default());
         Ok(Self {
             grid,
