@@ -6,6 +6,7 @@
 
 use super::assembly::Parts;
 use super::lattice::Lattice;
+use super::over_relief;
 use super::surface::{self, Dummy, Knows, Point, Rows};
 use super::Scene;
 use crate::config::scene::{
@@ -60,6 +61,10 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     let (model, deformation) = match config.method {
         Method::Standard(_) => {
             let deformation = deformation(config, &parts.lattice, &model, base);
+            (Model::new(model), deformation)
+        }
+        Method::Fixed(_) if config.dimension() == 3 => {
+            let (model, deformation) = over_relief::fixed(config, &parts, model);
             (Model::new(model), deformation)
         }
         Method::Fixed(own) => {
@@ -158,7 +163,7 @@ fn body_force(config: &Config) -> BodyForce {
 }
 
 /// Zero, or the steady parabola of the plane channel with its flow rate.
-fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
+pub(super) fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
     if config.time.start == Start::Rest {
         return [0.0; 3];
     }
@@ -407,18 +412,19 @@ fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
     outlet
 }
 
-/// The sum of the kernel over targets and columns times dx^2: the value that the targets give for a flux of 1.
+/// The sum of the kernel over targets and columns times dx^D: the value that the targets give for a flux of 1.
 fn section_sum(config: &Config, outlet: &Outlet) -> f64 {
     let (dx, kernel) = (config.resolution.dx, outlet.interpolation.kernel);
     let x = |column: usize| first_column(config) + column as f64 * dx;
     // Rows and targets are dx apart, so every row counts the same.
     let rows = (kernel.cutoff() / dx).ceil() as i64;
+    let layers = if config.dimension() == 3 { rows } else { 0 };
     let mut sum = 0.0;
     for column in 0..config.columns() {
-        for row in -rows..=rows {
-            let square = (x(column) - outlet.place()).powi(2) + (row as f64 * dx).powi(2);
+        for (row, layer) in (-rows..=rows).flat_map(|row| (-layers..=layers).map(move |layer| (row, layer))) {
+            let square = (x(column) - outlet.place()).powi(2) + ((row * row + layer * layer) as f64) * dx * dx;
             if square < kernel.cutoff().powi(2) {
-                sum += kernel.pair::<f64>(square).0 * dx * dx;
+                sum += kernel.pair::<f64>(square).0 * dx.powi(config.dimension() as i32);
             }
         }
     }

@@ -17,7 +17,7 @@
 use super::super::equations::Warmth;
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::super::steady::dense;
-use super::equations::{dot, laplacian, Condition, Derivatives, Equations, Motion, State, FLOW, PRESSURE};
+use super::equations::{dot, laplacian, Condition, Derivatives, End, Equations, Motion, State, FLOW, PRESSURE};
 use crate::numerics::incomplete_lu::IncompleteLu;
 use crate::numerics::krylov::{gmres, gmres_restarted};
 use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Singular};
@@ -413,7 +413,13 @@ pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficient
     let mut matrix = equations.stencils.matrix(1);
     for i in 0..equations.particles() {
         let diagonal = matrix.entry(i, i as u32);
-        if let Some(Condition { warmth: Warmth::Given(_), .. }) = equations.condition(i) {
+        if let Some(End::Outlet(before)) = equations.end(i) {
+            let entry = matrix.entry(i, before);
+            (matrix.values[diagonal], matrix.values[entry]) = (1.0, -1.0);
+            continue;
+        }
+        let is_given = matches!(equations.condition(i), Some(Condition { warmth: Warmth::Given(_), .. }));
+        if is_given || equations.end(i).is_some() {
             matrix.values[diagonal] = 1.0;
             continue;
         }
