@@ -364,8 +364,8 @@ impl ShapeEntry {
         let (shown, keys) = kind.facts();
         let given = toml::Table::try_from(self).unwrap_or_default();
         let all = [
-            "lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file", "points",
-            "scale",
+            "lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file",
+            "points", "scale",
         ];
         for name in all.into_iter().chain(["thickness", "positive"]) {
             // An angle is 0 if it is not given.
@@ -405,10 +405,15 @@ impl ShapeEntry {
         if let Some(digits) = self.digits.as_ref().filter(|d| d.len() != 4 || !d.bytes().all(|d| d.is_ascii_digit())) {
             return Err(bad("digits", format!("\"{digits}\"")).allowed("four digits, such as \"2412\""));
         }
-        for (name, length) in [("radius", self.radius), ("thickness", self.thickness), ("chord", self.chord), ("scale", self.scale)]
+        for (name, length) in
+            [("radius", self.radius), ("thickness", self.thickness), ("chord", self.chord), ("scale", self.scale)]
         {
             if let Some(length) = length.filter(|length| !(*length > 0.0 && length.is_finite())) {
-                return Err(bad(name, format!("{length}")).allowed(if name == "scale" { "a number above 0" } else { "a length above 0" }));
+                return Err(bad(name, format!("{length}")).allowed(if name == "scale" {
+                    "a number above 0"
+                } else {
+                    "a length above 0"
+                }));
             }
         }
         if let (Some(lower), Some(upper)) = (&self.lower, &self.upper) {

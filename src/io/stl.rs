@@ -16,7 +16,8 @@ pub struct Triangles {
     pub triangles: Vec<[u32; 3]>,
 }
 
-const CLOSED: &str = "close and orient the surface, for example in MeshLab (Filters, Cleaning and Repairing: Merge Close Vertices, \
+const CLOSED: &str =
+    "close and orient the surface, for example in MeshLab (Filters, Cleaning and Repairing: Merge Close Vertices, \
                       Close Holes, Re-Orient All Faces Coherently) or with Blender's 3D-Print Toolbox";
 /// The least height of a triangle, in its longest edge.
 const LEAST_HEIGHT: f64 = 1e-6;
@@ -76,7 +77,12 @@ impl Triangles {
         for k in 0..self.triangles.len() {
             let corners = self.corners(k);
             if let Some(wrong) = corners.iter().flatten().find(|x| !x.is_finite()) {
-                return bad(format!("triangle {k}"), format!("one with the coordinate {wrong}"), "one of finite numbers", CLOSED);
+                return bad(
+                    format!("triangle {k}"),
+                    format!("one with the coordinate {wrong}"),
+                    "one of finite numbers",
+                    CLOSED,
+                );
             }
             let edge = |k: usize| minus(corners[(k + 1) % 3], corners[k]);
             let longest = (0..3).map(|k| dot(edge(k), edge(k))).fold(0.0, f64::max);
@@ -104,7 +110,9 @@ impl Triangles {
                 let ends = [from, to].map(|v| shown(self.vertices[v as usize])).join(" - ");
                 let found = match (along, against) {
                     (1, 0) => "that of one triangle: the surface has a hole there".to_string(),
-                    (2, 0) => "run along in the same direction by two triangles: one of them is turned round".to_string(),
+                    (2, 0) => {
+                        "run along in the same direction by two triangles: one of them is turned round".to_string()
+                    }
                     _ => format!("that of {} triangles", along + against),
                 };
                 return bad(

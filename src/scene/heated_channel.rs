@@ -415,7 +415,8 @@ fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
 /// The sum of the kernel over targets and columns times dx^D: the value that the targets give for a flux of 1.
 fn section_sum(config: &Config, outlet: &Outlet) -> f64 {
     let (dx, kernel) = (config.resolution.dx, outlet.interpolation.kernel);
-    let x = |column: usize| first_column(config) + column as f64 * dx;
+    let first = if config.dimension() == 3 { over_relief::first_x(config) } else { first_column(config) };
+    let x = |column: usize| first + column as f64 * dx;
     // Rows and targets are dx apart, so every row counts the same.
     let rows = (kernel.cutoff() / dx).ceil() as i64;
     let layers = if config.dimension() == 3 { rows } else { 0 };

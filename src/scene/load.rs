@@ -368,7 +368,8 @@ fn read_shapes(shapes: &mut Value, folder: &Path) -> Result<(), BadInput> {
             return Err(BadInput::at(&key, format!("{key} is missing")).allowed(OF_FILES));
         };
         if file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("stl")) {
-            let triangles = stl::read(&file).map_err(|error| BadInput::at(&key, error.to_string()).allowed(OF_FILES))?;
+            let triangles =
+                stl::read(&file).map_err(|error| BadInput::at(&key, error.to_string()).allowed(OF_FILES))?;
             let (_, centre) = triangles.volume();
             // The configuration of a run is later read from another folder.
             let file = std::path::absolute(&file).unwrap_or(file);

@@ -4,7 +4,6 @@ use super::assembly::Parts;
 use super::heated_channel::start_velocity;
 use crate::config::scene::{Config, DriveName};
 use crate::design::deformation::Map;
-use crate::design::parametrisations::first_column;
 use crate::design::relief::Relief;
 use crate::design::Deformation;
 use crate::numerics::threads;
@@ -13,6 +12,13 @@ use crate::sph::relief::lattice::row;
 use crate::sph::relief::{Channel, OverRelief, ReliefParticles};
 use crate::sph::standard::Standard;
 use crate::sph::Sweeps;
+
+/// x of the first column, so that one is at the beginning of the hot section and, where the spacing divides that, one at its end.
+pub(super) fn first_x(config: &Config) -> f64 {
+    let (hot_from, dx) = (config.channel.hot_from, config.resolution.dx);
+    // A hair before the next column is that column.
+    (hot_from - (hot_from / dx + 1e-9).floor() * dx).max(0.0)
+}
 
 /// The channel with fixed particles, and its deformation by the heights of the lower wall.
 pub(super) fn fixed<R: Sweeps>(
@@ -32,7 +38,7 @@ pub(super) fn fixed<R: Sweeps>(
     let lattice = OverRelief::new(Channel {
         cells: [config.columns(), config.rows(), config.layers()],
         spacing: dx,
-        first_x: first_column(config),
+        first_x: first_x(config),
         density: fluid.density,
         viscosity: config.kinematic_viscosity(),
         diffusivity: config.thermal_diffusivity(),

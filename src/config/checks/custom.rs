@@ -73,7 +73,8 @@ impl Config {
             shape.check(place, d, has_heat, self.wall_formula())?;
             if shape.kind == Kind::File && !(d == 3 && self.is_around_shapes()) {
                 let (key, file) = (format!("shapes[{place}].file"), shape.file.as_deref().unwrap_or_default());
-                let allowed = "three dimensions and method.name = fixed with triangles; a CSV file with columns x and y";
+                let allowed =
+                    "three dimensions and method.name = fixed with triangles; a CSV file with columns x and y";
                 let where_it_is = if d == 3 { "with particles that move" } else { "in two dimensions" };
                 let bad = bad(&key, format!("{file}: triangles {where_it_is}")).allowed(allowed);
                 return Err(if d == 3 { bad.advice("method.name=fixed") } else { bad });

@@ -3,7 +3,9 @@
 use crate::sph::cloud::equations::Warmth;
 use crate::sph::cloud::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
 use crate::sph::cloud::nearest::{Nearest, Region};
-use crate::sph::cloud::space::equations::{Bar, Condition, Derivatives, End, Equations, Motion, State, FLOW};
+use crate::sph::cloud::space::equations::{
+    Bar, Condition, Derivatives, End, Equations, Motion, State, FLOW, TEMPERATURE,
+};
 use crate::sph::cloud::space::steady::{FlowRate, Solver};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 
@@ -89,8 +91,7 @@ impl OverRelief {
         let (inside, dx) = (channel.inside(), channel.spacing);
         let near = Nearest::new(region, 1.5 * dx, &places);
         let reach = |i: usize| dx * (if i < inside { INSIDE } else { ON_WALL } + 1e-3).sqrt();
-        let lists: Vec<Vec<(f64, u32)>> =
-            (0..places.len()).map(|i| near.of(places[i], 80, |j, _| j != i)).collect();
+        let lists: Vec<Vec<(f64, u32)>> = (0..places.len()).map(|i| near.of(places[i], 80, |j, _| j != i)).collect();
         let count = |i: usize| lists[i].partition_point(|found| found.0 < reach(i));
         let stencils = Stencils::new(region, &places, count, &lists).expect("enough particles for the fits");
         let slack = 1e-9 * dx;
@@ -127,7 +128,7 @@ impl OverRelief {
         let condition = |k: usize| {
             let i = inside + k;
             let is_lower = k < columns;
-            let is_hot = is_lower && position[0][i] > channel.hot[0] && position[0][i] < channel.hot[1];
+            let is_hot = is_lower && channel.is_hot(position[0][i]);
             let normal = match is_lower {
                 true => std::array::from_fn(|d| state[(row::U + d) * n + i]),
                 false => [0.0, -1.0, 0.0],
@@ -179,6 +180,24 @@ impl OverRelief {
         Ok((solver.counts.steps, self.channel.force + found.drive))
     }
 
+    /// The heat that the hot wall gives to the fluid at x < `until`, by the slopes of the temperature at its points: density * temperature *
+    /// volume / time.
+    pub fn wall_heat(&self, state: &[f64], until: f64) -> f64 {
+        let channel = &self.channel;
+        let (n, inside) = (channel.particles(), channel.inside());
+        let Flow { position, operators, solver, state: flow, .. } = self.flow(state);
+        let of = |k: usize| {
+            let (i, Condition { warmth, normal, .. }) = (inside + k, solver.equations.conditions[k]);
+            if matches!(warmth, Warmth::Flux(_)) || position[0][i] >= until {
+                return 0.0;
+            }
+            let slopes = operators.derivatives(&self.stencils, i, &flow.fields[TEMPERATURE]);
+            let along: f64 = (0..3).map(|d| normal[d] * slopes[d]).sum();
+            -channel.diffusivity * along * channel.spacing * channel.spacing / normal[1]
+        };
+        channel.density * (0..n - inside).map(of).sum::<f64>()
+    }
+
     /// The cotangent of the positions and normals of a steady state, given the cotangent of all of it, both `[8, N]`.
     ///
     /// # Errors
@@ -228,6 +247,12 @@ impl Channel {
     /// Columns of particles over the whole wall.
     pub fn columns(&self) -> usize {
         self.cells[0] * self.cells[2]
+    }
+
+    /// Whether the lower wall is hot at x; both ends of the hot section are.
+    pub fn is_hot(&self, x: f64) -> bool {
+        let slack = 1e-6 * self.spacing;
+        x > self.hot[0] - slack && x < self.hot[1] + slack
     }
 
     /// Particles between the walls: row by row from below, each layer by layer along z, x fastest. Behind them are the points of the

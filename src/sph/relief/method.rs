@@ -33,9 +33,7 @@ impl<R: Real> ReliefParticles<R> {
         let tag_of = |i: usize| match i.checked_sub(channel.inside()) {
             None => tag::FLUID,
             Some(k) => {
-                let x = channel.place(i)[0];
-                let is_hot = k < channel.columns() && x > channel.hot[0] && x < channel.hot[1];
-                if is_hot {
+                if k < channel.columns() && channel.is_hot(channel.place(i)[0]) {
                     tag::HOT_SURFACE
                 } else {
                     tag::SURFACE
@@ -109,7 +107,8 @@ impl<R: Real> Method<R> for ReliefParticles<R> {
     fn operators(&self, _: &NeighbourList) -> Vec<Operator> {
         let n = self.flow.particles();
         let bytes = row::COUNT * n * std::mem::size_of::<R>();
-        let does = "fits at the mapped lattice; Newton's method, whose systems GMRES solves; the temperature of that flow";
+        let does =
+            "fits at the mapped lattice; Newton's method, whose systems GMRES solves; the temperature of that flow";
         vec![Operator::new("steady flow", vec![does.to_string()], [n, 40 * n], [bytes, bytes, 0])]
     }
     fn dropped(&self) -> Vec<Dropped> {
@@ -153,8 +152,8 @@ impl<R: Real> Worker<R> for Run<R> {
         }
         Ok(())
     }
-    fn wall_heat(&self, _: &Place<'_, R>, _: &[R], _: f64) -> Result<f64, RunError> {
-        Ok(f64::NAN)
+    fn wall_heat(&self, _: &Place<'_, R>, state: &[R], until: f64) -> Result<f64, RunError> {
+        Ok(self.model.lattice.wall_heat(&wide(state), until))
     }
     fn drive(&self) -> Option<f64> {
         self.drive

@@ -26,10 +26,14 @@ pub fn narrow<R: Real>(numbers: &[f64]) -> Vec<R> {
 pub fn told(why: &NoSteadyState) -> String {
     match why {
         NoSteadyState::Diverged { residual } => {
-            format!("the flow over the wall does not become steady: Newton's method ends at a residual of {residual:.1e}")
+            format!(
+                "the flow over the wall does not become steady: Newton's method ends at a residual of {residual:.1e}"
+            )
         }
         NoSteadyState::Adjoint => "the transposed equations of the steady flow are not solved".into(),
-        NoSteadyState::Singular | NoSteadyState::Unbounded { .. } => "the equations of the steady flow are singular".into(),
+        NoSteadyState::Singular | NoSteadyState::Unbounded { .. } => {
+            "the equations of the steady flow are singular".into()
+        }
     }
 }
 

@@ -136,8 +136,7 @@ impl Facets {
             let corners = mesh.corners(k);
             for e in 0..3 {
                 of_edge.insert((triangle[e], triangle[(e + 1) % 3]), k);
-                let (one, other) =
-                    (minus(corners[(e + 1) % 3], corners[e]), minus(corners[(e + 2) % 3], corners[e]));
+                let (one, other) = (minus(corners[(e + 1) % 3], corners[e]), minus(corners[(e + 2) % 3], corners[e]));
                 let angle = length(cross(one, other)).atan2(dot(one, other));
                 let at = &mut at_vertex[triangle[e] as usize];
                 *at = plus(*at, times(normal[k], angle));
@@ -148,8 +147,7 @@ impl Facets {
             let triangle = mesh.triangles[k];
             of_edge.get(&(triangle[(e + 1) % 3], triangle[e])).copied().unwrap_or(k)
         };
-        let at_edge =
-            (0..count).map(|k| std::array::from_fn(|e| plus(normal[k], normal[across(k, e)]))).collect();
+        let at_edge = (0..count).map(|k| std::array::from_fn(|e| plus(normal[k], normal[across(k, e)]))).collect();
         let mut patch = vec![usize::MAX; count];
         let mut patches = 0;
         for first in 0..count {
