@@ -1,5 +1,6 @@
 //! The lattice, the steady flow on it, and its adjoint.
 
+use crate::numerics::sparse_lu::Order;
 use crate::sph::cloud::equations::Warmth;
 use crate::sph::cloud::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
 use crate::sph::cloud::nearest::{Nearest, Region};
@@ -8,6 +9,7 @@ use crate::sph::cloud::space::equations::{
 };
 use crate::sph::cloud::space::steady::{FlowRate, Solver};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
+use std::sync::Arc;
 
 /// Rows of a state `[8, N]`. Points of the lower wall, which is at rest, have their unit normal in the rows of the velocity.
 pub mod row {
@@ -24,6 +26,9 @@ pub mod row {
 /// one side.
 const INSIDE: f64 = 4.0;
 const ON_WALL: f64 = 6.0;
+
+/// Up to so many particles the matrix of the flow is factorised; of more GMRES is faster.
+const FACTORISED: usize = 7000;
 
 /// The settings of a channel, in the scene's units.
 #[derive(Debug, Clone)]
@@ -57,6 +62,8 @@ pub struct OverRelief {
     pub channel: Channel,
     stencils: Stencils<3>,
     ends: Vec<Option<End>>,
+    /// Of up to [`FACTORISED`] particles.
+    order: Option<Arc<Order>>,
     /// What each row of fluid counts in an integral from wall to wall, see [`row_weights`].
     row_weights: Vec<f64>,
 }
@@ -103,7 +110,10 @@ impl OverRelief {
             (x > channel.outlet_above + slack).then_some(End::Outlet(before as u32))
         };
         let ends = (0..places.len()).map(end).collect();
-        Self { stencils, ends, row_weights: row_weights(rows), channel }
+        // Seen from the side, across the shortest direction.
+        let order = || Arc::new(Order::new(&stencils.matrix(FLOW), |i| [places[i][0], places[i][1]]));
+        let order = (places.len() <= FACTORISED).then(order);
+        Self { stencils, ends, order, row_weights: row_weights(rows), channel }
     }
 
     pub fn particles(&self) -> usize {
@@ -161,7 +171,8 @@ impl OverRelief {
                 state.drive = power / (length * flow) - channel.force;
             }
         }
-        Flow { position, operators, solver: Solver::new(equations, channel.threads), state, rate }
+        let solver = Solver { order: self.order.clone(), ..Solver::new(equations, channel.threads) };
+        Flow { position, operators, solver, state, rate }
     }
 
     /// Makes a state steady. Returns the number of Newton's steps and the acceleration along x.
