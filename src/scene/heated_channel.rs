@@ -64,7 +64,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
             (Model::new(model), deformation)
         }
         Method::Fixed(_) if config.dimension() == 3 => {
-            let (model, deformation) = over_relief::fixed(config, &parts, model);
+            let (model, deformation) = over_relief::fixed(config, &parts, model, |place| start_velocity(config, place));
             (Model::new(model), deformation)
         }
         Method::Fixed(own) => {
@@ -163,7 +163,7 @@ fn body_force(config: &Config) -> BodyForce {
 }
 
 /// Zero, or the steady parabola of the plane channel with its flow rate.
-pub(super) fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
+fn start_velocity(config: &Config, [_, y, _]: [f64; 3]) -> [f64; 3] {
     if config.time.start == Start::Rest {
         return [0.0; 3];
     }

@@ -1,7 +1,6 @@
 //! The heated channel in three dimensions with fixed particles: its lattice, and what the heights of its wall move.
 
 use super::assembly::Parts;
-use super::heated_channel::start_velocity;
 use crate::config::scene::{Config, DriveName};
 use crate::design::deformation::Map;
 use crate::design::relief::Relief;
@@ -20,11 +19,13 @@ pub(super) fn first_x(config: &Config) -> f64 {
     (hot_from - (hot_from / dx + 1e-9).floor() * dx).max(0.0)
 }
 
-/// The channel with fixed particles, and its deformation by the heights of the lower wall.
+/// The channel with fixed particles, and its deformation by the heights of the lower wall. `start_velocity` is by
+/// place.
 pub(super) fn fixed<R: Sweeps>(
     config: &Config,
     parts: &Parts<R>,
     model: Standard<R>,
+    start_velocity: impl Fn([f64; 3]) -> [f64; 3],
 ) -> (ReliefParticles<R>, Deformation) {
     let (channel, fluid, dx) = (&config.channel, &config.fluid, config.resolution.dx);
     let depth = config.depth();
@@ -60,7 +61,7 @@ pub(super) fn fixed<R: Sweeps>(
         (0..3).for_each(|d| base[d * n + i] = place[d]);
         let across = [place[0], place[2]];
         if i < inside {
-            base[row::U * n + i] = start_velocity(config, place)[0];
+            base[row::U * n + i] = start_velocity(place)[0];
             relief.moves(i, across, 1.0 - place[1] / height);
         } else if i < inside + columns {
             base[(row::U + 1) * n + i] = 1.0;
