@@ -119,7 +119,7 @@ fn surfaces_that_are_not_closed_are_refused() {
         (with(&|t| t.triangles.truncate(11)), "has a hole there"),
         (with(&|t| t.triangles[3].swap(0, 1)), "turned round"),
         (with(&|t| t.triangles.push(t.triangles[0])), "that of 3 triangles"),
-        (with(&|t| t.vertices[7] = [1.0, f64::NAN, 0.0]), "finite numbers"),
+        (with(&|t| t.vertices[7] = [1.0, f64::NAN, 0.0]), "NaN"),
         (with(&|t| t.triangles.push([0, 1, 1])), "without an area"),
         (with(&|t| t.triangles.truncate(2)), "2 in number"),
         ("this is no surface".to_string(), "not a readable STL file"),
