@@ -129,11 +129,14 @@ pub struct ShapeEntry {
     /// The four digits of a NACA section.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub digits: Option<String>,
-    /// A CSV file with the points of a closed line; a loaded scene has the points themselves.
+    /// A CSV file with the points of a closed line; a loaded scene has the points themselves. Or an STL file with a closed surface.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points: Option<Vec<[f64; 2]>>,
+    /// Factor of the lengths of an STL file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub thickness: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -181,6 +184,7 @@ pub enum Part {
     Radii(usize),
     Point(usize, usize),
     Thickness,
+    Scale,
     Chord,
     Angle,
     /// Of the formulas on its wall.
@@ -198,7 +202,7 @@ impl ShapeNumber {
         let parts = parts.chain(vector(&entry.axes).map(Part::Axis)).chain(vector(&entry.radii).map(Part::Radii));
         let parts = parts.chain(points.flat_map(|point| [Part::Point(point, 0), Part::Point(point, 1)]));
         let parts = parts.chain(entry.thickness.map(|_| Part::Thickness)).chain(entry.chord.map(|_| Part::Chord));
-        let parts = parts.chain(entry.angle.map(|_| Part::Angle));
+        let parts = parts.chain(entry.scale.map(|_| Part::Scale)).chain(entry.angle.map(|_| Part::Angle));
         parts.chain((0..entry.parameters.len()).map(Part::Parameter)).map(|part| Self { shape, part }).collect()
     }
 
@@ -212,6 +216,7 @@ impl ShapeNumber {
             Part::Axis(k) => entry.axes.as_mut()?.get_mut(k),
             Part::Radii(k) => entry.radii.as_mut()?.get_mut(k),
             Part::Chord => entry.chord.as_mut(),
+            Part::Scale => entry.scale.as_mut(),
             Part::Angle => entry.angle.as_mut(),
             Part::Point(point, d) => entry.points.as_mut()?.get_mut(point)?.get_mut(d),
             Part::Thickness => entry.thickness.as_mut(),
@@ -231,6 +236,7 @@ impl std::fmt::Display for ShapeNumber {
             Part::Axis(k) => write!(out, "axes[{k}]"),
             Part::Radii(k) => write!(out, "radii[{k}]"),
             Part::Chord => write!(out, "chord"),
+            Part::Scale => write!(out, "scale"),
             Part::Angle => write!(out, "angle"),
             Part::Point(point, d) => write!(out, "points[{point}][{d}]"),
             Part::Thickness => write!(out, "thickness"),
@@ -262,7 +268,8 @@ pub enum Kind {
     BSpline,
     /// A NACA four-digit section: `digits`, `centre` (the middle of its chord), `chord`, `angle`.
     Naca,
-    /// The closed line through the points of a CSV `file`; when loaded it becomes a polygon.
+    /// The closed line through the points of a CSV `file`, which becomes a polygon when it is loaded; or, in three dimensions, the
+    /// inside of the triangles of an STL `file`, whose `centre` of volume is there, times `scale`, turned by `angle` around z.
     File,
     /// The region where the formula `positive` is above 0.
     Where,
@@ -315,7 +322,7 @@ impl Kind {
             Self::Spline => ("spline", &["centre", "radii"]),
             Self::BSpline => ("b-spline", &["points"]),
             Self::Naca => ("naca", &["centre", "digits", "chord", "angle"]),
-            Self::File => ("file", &["file"]),
+            Self::File => ("file", &["file", "centre", "scale", "angle"]),
             Self::Where => ("where", &["positive"]),
         }
     }
@@ -357,7 +364,8 @@ impl ShapeEntry {
         let (shown, keys) = kind.facts();
         let given = toml::Table::try_from(self).unwrap_or_default();
         let all = [
-            "lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file", "points",
+            "lower", "upper", "centre", "radius", "axis", "axes", "angle", "radii", "chord", "digits", "file",
+            "points", "scale",
         ];
         for name in all.into_iter().chain(["thickness", "positive"]) {
             // An angle is 0 if it is not given.
@@ -397,9 +405,15 @@ impl ShapeEntry {
         if let Some(digits) = self.digits.as_ref().filter(|d| d.len() != 4 || !d.bytes().all(|d| d.is_ascii_digit())) {
             return Err(bad("digits", format!("\"{digits}\"")).allowed("four digits, such as \"2412\""));
         }
-        for (name, length) in [("radius", self.radius), ("thickness", self.thickness), ("chord", self.chord)] {
+        for (name, length) in
+            [("radius", self.radius), ("thickness", self.thickness), ("chord", self.chord), ("scale", self.scale)]
+        {
             if let Some(length) = length.filter(|length| !(*length > 0.0 && length.is_finite())) {
-                return Err(bad(name, format!("{length}")).allowed("a length above 0"));
+                return Err(bad(name, format!("{length}")).allowed(if name == "scale" {
+                    "a number above 0"
+                } else {
+                    "a length above 0"
+                }));
             }
         }
         if let (Some(lower), Some(upper)) = (&self.lower, &self.upper) {

@@ -252,9 +252,17 @@ impl Config {
         self.region.acceleration.iter().map(|g| g * g).sum::<f64>().sqrt()
     }
 
+    /// Whether particles are fixed over a wall that varies along x and z: a run is one step, to the steady flow.
+    pub fn is_over_relief(&self) -> bool {
+        self.scene == Family::HeatedChannel3d && !self.method.facts().moves
+    }
+
     /// Number of steps: `time.steps`, or the smallest number that reaches `time.end` with the largest or the given
     /// step.
     pub fn steps(&self) -> usize {
+        if self.is_over_relief() {
+            return 1;
+        }
         // The tolerance avoids an additional, tiny step for an exact multiple.
         let step = self.time.step.unwrap_or_else(|| self.time_step_limit());
         let needed = (self.time.end / step - 1e-9).ceil().max(1.0);
@@ -264,6 +272,9 @@ impl Config {
     /// Time step: the given one; else the limit if the number of steps is given, or a smaller step with which the run
     /// ends at `time.end`.
     pub fn time_step(&self) -> f64 {
+        if self.is_over_relief() {
+            return self.time.end;
+        }
         match (self.time.step, self.time.steps) {
             (Some(step), _) => step,
             (None, Some(_)) => self.time_step_limit(),

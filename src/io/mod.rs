@@ -7,6 +7,7 @@ pub mod grid_file;
 pub mod hdf5_file;
 pub mod npy;
 pub mod state_file;
+pub mod stl;
 pub mod tensor_file;
 pub mod tensorboard;
 pub mod vtk;

@@ -6,6 +6,7 @@ use super::particle_fields::ParticleFields;
 use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, SideKind};
 use crate::config::scene::{Asked, Config, ObjectiveKind};
 use crate::error::{BadInput, Error};
+use crate::io::stl;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::Warmth;
@@ -13,11 +14,13 @@ use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::Region;
 use crate::sph::cloud::outline::Outline;
 use crate::sph::cloud::space::equations::{Motion, PRESSURE, TEMPERATURE};
+use crate::sph::cloud::space::facets::Facets;
 use crate::sph::cloud::space::particles::{Cloud, Fluid, Surroundings};
 use crate::sph::cloud::space::placing::{BoundaryPoint, Ground};
 use crate::sph::cloud::space::problem::{Solution, SteadyFlow};
 use crate::sph::cloud::space::surface::{across, Form, Surface};
 use serde_json::{json, Value};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Spacing on surfaces, in dx, if `resolution.surface` does not say it. (In the plane it is a third; here twice the points a
@@ -91,12 +94,7 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
     let vector = |of: fn(usize) -> Part, numbers: &Option<Vec<f64>>| -> Vec<(Part, f64)> {
         numbers.iter().flatten().enumerate().map(|(k, x)| (of(k), *x)).collect()
     };
-    let whole = |form: Form, mut all: Vec<(Part, f64)>| {
-        let geometry = all.len();
-        all.extend(entry.parameters.iter().enumerate().map(|(k, x)| (Part::Parameter(k), *x)));
-        let (parts, numbers) = all.into_iter().unzip();
-        Surface { form, parts, numbers, geometry }
-    };
+    let whole = |form: Form, all: Vec<(Part, f64)>| with_parameters(entry, form, all);
     match entry.kind {
         Kind::Disc => {
             let mut all = vector(Part::Centre, &entry.centre);
@@ -122,6 +120,23 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
     }
 }
 
+/// The surface of a checked shape whose triangles are in a file.
+fn of_triangles(entry: &ShapeEntry, key: &str, file: &str) -> Result<Surface, BadInput> {
+    let triangles = stl::read(Path::new(file)).map_err(|error| BadInput::at(key, error.to_string()))?;
+    let centre = entry.centre.iter().flatten().enumerate().map(|(d, x)| (Part::Centre(d), *x));
+    let own = [(Part::Scale, entry.scale.unwrap_or(1.0)), (Part::Angle, entry.angle.unwrap_or(0.0))];
+    let all: Vec<(Part, f64)> = centre.chain(own).collect();
+    Ok(with_parameters(entry, Form::Facets(Box::new(Facets::new(triangles))), all))
+}
+
+/// A surface with its own numbers and those of the formulas on it.
+fn with_parameters(entry: &ShapeEntry, form: Form, mut all: Vec<(Part, f64)>) -> Surface {
+    let geometry = all.len();
+    all.extend(entry.parameters.iter().enumerate().map(|(k, x)| (Part::Parameter(k), *x)));
+    let (parts, numbers) = all.into_iter().unzip();
+    Surface { form, parts, numbers, geometry }
+}
+
 impl AroundBodies {
     /// The steady flow of a checked configuration, see [`Config::is_around_bodies`].
     ///
@@ -134,8 +149,13 @@ impl AroundBodies {
             periodic: std::array::from_fn(|d| given.periodic[d]),
         };
         let spacing = config.resolution.surface.unwrap_or(SURFACE * dx).min(dx);
-        let surfaces: Vec<Surface> =
-            config.shapes.iter().filter_map(|entry| surface(entry, &region, ROUNDED * spacing)).collect();
+        let mut surfaces = vec![];
+        for (k, entry) in config.shapes.iter().enumerate() {
+            surfaces.extend(match (entry.kind, &entry.file) {
+                (Kind::File, Some(file)) => Some(of_triangles(entry, &format!("shapes[{k}].file"), file)?),
+                _ => surface(entry, &region, ROUNDED * spacing),
+            });
+        }
         let read = config.wall_formula();
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 3, read));
         let conditions = Conditions {

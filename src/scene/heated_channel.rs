@@ -6,6 +6,7 @@
 
 use super::assembly::Parts;
 use super::lattice::Lattice;
+use super::over_relief;
 use super::surface::{self, Dummy, Knows, Point, Rows};
 use super::Scene;
 use crate::config::scene::{
@@ -61,6 +62,10 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Result<Scene<R>, Error> {
     let (model, deformation) = match config.method {
         Method::Standard(_) => {
             let deformation = deformation(config, &parts.lattice, &model, base);
+            (Model::new(model), deformation)
+        }
+        Method::Fixed(_) if config.dimension() == 3 => {
+            let (model, deformation) = over_relief::fixed(config, &parts, model, |place| start_velocity(config, place));
             (Model::new(model), deformation)
         }
         Method::Fixed(own) => {
@@ -408,18 +413,20 @@ fn outlet<R: Sweeps>(config: &Config, model: &Model<R>) -> Outlet {
     outlet
 }
 
-/// The sum of the kernel over targets and columns times dx^2: the value that the targets give for a flux of 1.
+/// The sum of the kernel over targets and columns times dx^D: the value that the targets give for a flux of 1.
 fn section_sum(config: &Config, outlet: &Outlet) -> f64 {
     let (dx, kernel) = (config.resolution.dx, outlet.interpolation.kernel);
-    let x = |column: usize| first_column(config) + column as f64 * dx;
+    let first = if config.dimension() == 3 { over_relief::first_x(config) } else { first_column(config) };
+    let x = |column: usize| first + column as f64 * dx;
     // Rows and targets are dx apart, so every row counts the same.
     let rows = (kernel.cutoff() / dx).ceil() as i64;
+    let layers = if config.dimension() == 3 { rows } else { 0 };
     let mut sum = 0.0;
     for column in 0..config.columns() {
-        for row in -rows..=rows {
-            let square = (x(column) - outlet.place()).powi(2) + (row as f64 * dx).powi(2);
+        for (row, layer) in (-rows..=rows).flat_map(|row| (-layers..=layers).map(move |layer| (row, layer))) {
+            let square = (x(column) - outlet.place()).powi(2) + ((row * row + layer * layer) as f64) * dx * dx;
             if square < kernel.cutoff().powi(2) {
-                sum += kernel.pair::<f64>(square).0 * dx * dx;
+                sum += kernel.pair::<f64>(square).0 * dx.powi(config.dimension() as i32);
             }
         }
     }

@@ -25,6 +25,7 @@ use crate::design::shape::{self, Shape, ROUGH_SMOOTHING_LENGTH};
 use crate::design::{start_shape, Scheduled};
 use crate::error::{BadInput, Error};
 use crate::io::csv::read_columns;
+use crate::io::stl;
 use crate::sph::Sweeps;
 
 /// The origin of a configuration.
@@ -236,9 +237,7 @@ impl Loaded {
         let fixed = facts.counterpart.filter(|other| facts.moves && methods.contains(other));
         match (self.config.optimise.search, fixed) {
             // In three dimensions fixed particles are those that are asked for.
-            (Search::Fixed, Some(_)) if self.config.scene == Family::Custom && self.config.dimension() == 3 => {
-                Ok(self.clone())
-            }
+            (Search::Fixed, Some(_)) if self.config.dimension() == 3 => Ok(self.clone()),
             (Search::Fixed, Some(fixed)) if self.config.scene == Family::Custom => {
                 // Only steady scenes, without formulas for shapes, have fixed particles.
                 Ok(self.with(&[Setting::set(&format!("method.name={fixed}"))]).unwrap_or_else(|_| self.clone()))
@@ -353,7 +352,10 @@ fn open(name: &str) -> Result<(&'static BuiltIn, Option<Layer>, Source), BadInpu
     Ok((scene, Some(layer), Source::File(path.to_path_buf())))
 }
 
-/// Replaces shapes of kind "file" by the polygons in their files.
+/// The files of shapes.
+const OF_FILES: &str = "a CSV file with columns x and y; an STL file (.stl) with a closed surface";
+
+/// Replaces shapes of kind "file" by the polygons in their files, and says where the triangles in theirs are.
 fn read_shapes(shapes: &mut Value, folder: &Path) -> Result<(), BadInput> {
     let all = shapes.as_array_mut().into_iter().flat_map(Array::iter_mut);
     for (k, shape) in all.enumerate() {
@@ -363,10 +365,29 @@ fn read_shapes(shapes: &mut Value, folder: &Path) -> Result<(), BadInput> {
         }
         let key = format!("shapes[{k}].file");
         let Some(file) = shape.get("file").and_then(Value::as_str).map(|file| folder.join(file)) else {
-            return Err(BadInput::at(&key, format!("{key} is missing")).allowed("a CSV file with columns x and y"));
+            return Err(BadInput::at(&key, format!("{key} is missing")).allowed(OF_FILES));
         };
+        if file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("stl")) {
+            let triangles =
+                stl::read(&file).map_err(|error| BadInput::at(&key, error.to_string()).allowed(OF_FILES))?;
+            let (_, centre) = triangles.volume();
+            // The configuration of a run is later read from another folder.
+            let file = std::path::absolute(&file).unwrap_or(file);
+            shape.insert("file", file.to_string_lossy().into_owned().into());
+            // What is not given is as in the file, so that variables can change it.
+            for (name, value) in [
+                ("centre", Value::Array(Array::from_iter(centre))),
+                ("scale", Value::from(1.0)),
+                ("angle", Value::from(0.0)),
+            ] {
+                if !shape.contains_key(name) {
+                    shape.insert(name, value);
+                }
+            }
+            continue;
+        }
         let columns = read_columns(&file, &["x", "y"])
-            .map_err(|error| BadInput::at(&key, error.to_string()).allowed("a CSV file with columns x and y"))?;
+            .map_err(|error| BadInput::at(&key, error.to_string()).allowed(OF_FILES))?;
         let mut points = columns[0].iter().zip(&columns[1]).map(|(x, y)| [*x, *y]).collect::<Vec<[f64; 2]>>();
         // A closed line may end where it began.
         if points.len() > 1 && points.first() == points.last() {

@@ -26,6 +26,7 @@ pub mod heated_channel;
 mod lattice;
 pub mod load;
 pub mod observers;
+mod over_relief;
 pub mod particle_fields;
 pub mod periodic_box;
 pub mod periodic_flow;

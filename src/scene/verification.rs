@@ -40,14 +40,15 @@ impl Check {
     pub const EACH: [Self; 5] =
         [Self::AsOptimised, Self::FinerSpacing, Self::OtherMotion, Self::TwiceTime, Self::OtherSeed];
 
-    /// Whether the check applies to a scene: fixed particles exist only for the channel in two dimensions, and a custom
-    /// scene without random numbers does not depend on the seed.
+    /// Whether the check applies to a scene: in three dimensions moving particles are not compared with fixed ones, which were not asked
+    /// for; a steady flow that is found at once has no time; a custom scene without random numbers does not depend on the seed.
     fn is_for(self, config: &Config) -> bool {
         match self {
             // In three dimensions particles that move take hours.
             Self::OtherMotion if config.is_around_bodies() => false,
             Self::OtherMotion if config.is_around_shapes() => config.unsteady().is_none() && config.counterpart_moves(),
-            Self::OtherMotion => config.scene.has_design() && config.dimension() == 2,
+            Self::OtherMotion => config.scene.has_design() && (config.dimension() == 2 || config.is_over_relief()),
+            Self::TwiceTime if config.is_over_relief() => false,
             Self::TwiceTime => !config.is_around_shapes() || config.unsteady().is_some(),
             Self::OtherSeed if config.is_around_shapes() => false,
             Self::OtherSeed => config.scene.has_design() || config.time.jitter > 0.0,

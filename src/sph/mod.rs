@@ -22,6 +22,7 @@ pub mod pace;
 pub mod pairs;
 pub mod plan;
 mod precisions;
+pub mod relief;
 pub mod rows;
 pub mod solver;
 pub mod standard;

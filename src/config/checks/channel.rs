@@ -1,7 +1,7 @@
 //! Checks of the heated channels: spacing, sections along the channel, drive, and bounds of the wall.
 
 use crate::config::range::{countable, is_whole, spacings};
-use crate::config::scene::{BodyForceRegion, Config, DesignWalls, DriveName, Family};
+use crate::config::scene::{BodyForceRegion, Config, DesignWalls, DriveName, Family, ObjectiveKind};
 use crate::config::suggest;
 use crate::error::BadInput;
 
@@ -152,6 +152,16 @@ impl Config {
             "fluid.reference_velocity={} (smaller steps), or a smaller fluid.body_force",
             suggest::at_least(fastest, fastest)
         )))
+    }
+
+    /// Checks that nothing is asked for that fixed particles over a wall of x and z lack.
+    pub(super) fn check_over_relief(&self) -> Result<(), BadInput> {
+        if !self.is_over_relief() || self.objective.kind != ObjectiveKind::WallHeat {
+            return Ok(());
+        }
+        Err(BadInput::at("objective.kind", "objective.kind = wall-heat with method.name = fixed in three dimensions")
+            .allowed("heat-outflow, outlet-temperature, flow-rate; wall-heat with method.name = consistent")
+            .advice("objective.kind=heat-outflow"))
     }
 
     /// Checks the flow rate or the power that is held.

@@ -71,8 +71,15 @@ impl Config {
         }
         for (place, shape) in self.shapes.iter().enumerate() {
             shape.check(place, d, has_heat, self.wall_formula())?;
-            let is_plane = if self.is_around_shapes() { shape.kind == Kind::File } else { shape.kind.is_curve() };
-            if d == 3 && is_plane {
+            if shape.kind == Kind::File && !(d == 3 && self.is_around_shapes()) {
+                let (key, file) = (format!("shapes[{place}].file"), shape.file.as_deref().unwrap_or_default());
+                let allowed =
+                    "three dimensions and method.name = fixed with triangles; a CSV file with columns x and y";
+                let where_it_is = if d == 3 { "with particles that move" } else { "in two dimensions" };
+                let bad = bad(&key, format!("{file}: triangles {where_it_is}")).allowed(allowed);
+                return Err(if d == 3 { bad.advice("method.name=fixed") } else { bad });
+            }
+            if d == 3 && shape.kind.is_curve() && !self.is_around_shapes() {
                 let (key, shown) = (format!("shapes[{place}].kind"), shape.kind.shown());
                 return Err(bad(&key, format!("{shown} in three dimensions")).allowed(
                     "box, disc, cylinder, polyline, polygon; where with particles that move; ellipse, spline, b-spline, naca, \

@@ -133,6 +133,7 @@ impl Schema for Config {
                 self.check_bound()?;
                 self.check_drive()?;
                 self.check_walls()?;
+                self.check_over_relief()?;
                 self.check_speed()?;
                 self.surrogate.check(self.optimise.dynamics)?;
                 self.optimise.check(self.run.precision)

@@ -39,6 +39,15 @@ pub struct Condition {
     pub normal: [f64; 3],
 }
 
+/// Where the temperature of a particle does not follow from conduction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// It is 0, that of what enters.
+    Inlet,
+    /// It is that of another particle, which is next to it.
+    Outlet(u32),
+}
+
 /// u, v, w, p, T of all particles, and the two numbers of the whole flow.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
@@ -72,6 +81,8 @@ pub struct Equations {
     pub damping: Vec<f64>,
     pub inside: usize,
     pub conditions: Vec<Condition>,
+    /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
+    pub ends: Vec<Option<End>>,
     pub stencils: Stencils<3>,
 }
 
@@ -100,6 +111,10 @@ impl Equations {
 
     pub(super) fn condition(&self, i: usize) -> Option<&Condition> {
         i.checked_sub(self.inside).map(|k| &self.conditions[k])
+    }
+
+    pub(super) fn end(&self, i: usize) -> Option<End> {
+        self.ends.get(i).copied().flatten()
     }
 
     pub fn derivatives(&self, operators: &Coefficients<C>, state: &State) -> Derivatives {
@@ -146,6 +161,11 @@ impl Equations {
         let alpha = self.diffusivity.unwrap_or(0.0);
         let of = |i: usize| {
             let (t, dt) = (state.fields[TEMPERATURE][i], &d.0[TEMPERATURE][i]);
+            match self.end(i) {
+                Some(End::Inlet) => return t,
+                Some(End::Outlet(before)) => return t - state.fields[TEMPERATURE][before as usize],
+                None => {}
+            }
             match self.condition(i) {
                 None => dot(state.velocity(i), dt) - alpha * laplacian(dt),
                 Some(Condition { warmth: Warmth::Given(given), .. }) => t - given,
@@ -181,7 +201,7 @@ impl Equations {
                     }
                 }
             }
-            let (Some(heat), Some(alpha)) = (heat, self.diffusivity) else { continue };
+            let (Some(heat), Some(alpha), None) = (heat, self.diffusivity, self.end(i)) else { continue };
             let to = &mut bar.derivatives.0[TEMPERATURE][i];
             match self.condition(i) {
                 None => {
@@ -206,7 +226,7 @@ impl Equations {
 
     /// d(heat residual)/d(u, v, w), transposed, at particle i.
     pub fn heat_by_velocity(&self, d: &Derivatives, heat: &[f64], i: usize) -> [f64; 3] {
-        match i < self.inside {
+        match i < self.inside && self.end(i).is_none() {
             true => std::array::from_fn(|e| heat[i] * d.0[TEMPERATURE][i][e]),
             false => [0.0; 3],
         }

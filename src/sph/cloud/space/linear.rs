@@ -17,11 +17,12 @@
 use super::super::equations::Warmth;
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::super::steady::dense;
-use super::equations::{dot, laplacian, Condition, Derivatives, Equations, Motion, State, FLOW, PRESSURE};
+use super::equations::{dot, laplacian, Condition, Derivatives, End, Equations, Motion, State, FLOW, PRESSURE};
 use crate::numerics::incomplete_lu::IncompleteLu;
 use crate::numerics::krylov::{gmres, gmres_restarted};
-use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Singular};
+use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Order, Singular, SparseLu};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Products before GMRES begins anew, and at most.
 const PRODUCTS: (usize, usize) = (120, 600);
@@ -237,6 +238,35 @@ impl Linear {
         self.takes.iter().all(|take| take.carries[a] == take.carries[b])
     }
 
+    /// All of the matrix. Where no pressure is given, a constant is left; one particle's is held.
+    fn whole(&self) -> BlockMatrix {
+        let list = |i: usize| self.column[self.first[i]..self.first[i + 1]].to_vec();
+        let mut matrix = BlockMatrix::of_lists(self.particles(), FLOW, list);
+        for i in 0..self.particles() {
+            for e in self.first[i]..self.first[i + 1] {
+                let (j, [k, gx, gy, gz, s]) = (self.column[e], self.pairs[e]);
+                let takes = self.takes[if self.transposed { j as usize } else { i }];
+                let (to_momentum, to_continuity) =
+                    if self.transposed { (takes.flows, takes.pushes) } else { (takes.pushes, takes.flows) };
+                let entry = matrix.entry(i, j);
+                let block = matrix.block_mut(entry);
+                for (a, slope) in [gx, gy, gz].into_iter().enumerate() {
+                    block[FLOW * a + a] += takes.carries[a] * k;
+                    block[FLOW * a + PRESSURE] += to_momentum * slope;
+                    block[FLOW * PRESSURE + a] += to_continuity * slope;
+                }
+                block[FLOW * PRESSURE + PRESSURE] += takes.flows * s;
+            }
+            let entry = matrix.entry(i, i as u32);
+            matrix.block_mut(entry).iter_mut().zip(self.own[i].as_flattened()).for_each(|(to, x)| *to += x);
+        }
+        if !self.given.contains(&true) {
+            let entry = matrix.entry(0, 0);
+            matrix.block_mut(entry)[FLOW * PRESSURE + PRESSURE] += self.own[0][PRESSURE][PRESSURE];
+        }
+        matrix
+    }
+
     /// K of a component of the velocity, without what the flow's own slopes add.
     fn carrying(&self, component: usize) -> BlockMatrix {
         let list = |i: usize| self.column[self.first[i]..self.first[i + 1]].to_vec();
@@ -274,18 +304,29 @@ pub struct System {
     laplace: Option<IncompleteLu<1>>,
     /// Solutions of the preconditioner with each column.
     solved: Vec<Vec<f64>>,
+    /// Factors of all of the matrix, instead of those of its parts.
+    whole: Option<SparseLu>,
 }
 
 /// Columns, rows and corner of a border.
 pub type Border = [Vec<Vec<f64>>; 3];
 
 impl System {
+    /// With an order of elimination the whole matrix is factorised, which pays for few particles.
+    ///
     /// # Errors
-    /// A particle without a diagonal entry.
-    pub fn new(linear: Linear, [columns, rows, corner]: Border, threads: usize) -> Result<Self, Singular> {
+    /// A particle without a diagonal entry, or a matrix without factors.
+    pub fn new(
+        linear: Linear,
+        [columns, rows, corner]: Border,
+        threads: usize,
+        order: Option<&Arc<Order>>,
+    ) -> Result<Self, Singular> {
+        let whole = order.map(|order| SparseLu::new(order, &linear.whole(), threads)).transpose()?;
+        let parts = if whole.is_some() { 0 } else { 3 };
         let mut which = [0; 3];
         let mut carrying: Vec<(BlockMatrix, IncompleteLu<1>)> = vec![];
-        for e in 0..3 {
+        for e in 0..parts {
             if let Some(other) = (0..e).find(|&other| linear.is_alike(e, other)) {
                 which[e] = which[other];
                 continue;
@@ -295,8 +336,10 @@ impl System {
             let factors = IncompleteLu::new(&matrix)?;
             carrying.push((matrix, factors));
         }
-        let laplace = linear.velocity.as_ref().map(|_| IncompleteLu::new(&linear.laplace)).transpose()?;
-        let mut system = Self { linear, columns, rows, corner, threads, carrying, which, laplace, solved: vec![] };
+        let velocity = linear.velocity.as_ref().filter(|_| whole.is_none());
+        let laplace = velocity.map(|_| IncompleteLu::new(&linear.laplace)).transpose()?;
+        let solved = vec![];
+        let mut system = Self { linear, columns, rows, corner, threads, carrying, which, laplace, solved, whole };
         system.solved = system.columns.iter().map(|column| system.inner(column)).collect();
         Ok(system)
     }
@@ -304,7 +347,8 @@ impl System {
     /// Memory of matrices and factors.
     pub fn bytes(&self) -> usize {
         let of = |(matrix, factors): &(BlockMatrix, IncompleteLu<1>)| 12 * matrix.values.len() + factors.bytes();
-        44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
+        let whole = self.whole.as_ref().map_or(0, SparseLu::bytes);
+        whole + 44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
     }
 
     fn times(&self, x: &[f64]) -> Vec<f64> {
@@ -344,6 +388,9 @@ impl System {
 
     /// P^-1 of a vector without border.
     fn inner(&self, right: &[f64]) -> Vec<f64> {
+        if let Some(whole) = &self.whole {
+            return whole.solve(right, false);
+        }
         let linear = &self.linear;
         let n = linear.particles();
         let pressure = self.pressure((0..n).map(|i| right[FLOW * i + PRESSURE]).collect());
@@ -413,7 +460,13 @@ pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficient
     let mut matrix = equations.stencils.matrix(1);
     for i in 0..equations.particles() {
         let diagonal = matrix.entry(i, i as u32);
-        if let Some(Condition { warmth: Warmth::Given(_), .. }) = equations.condition(i) {
+        if let Some(End::Outlet(before)) = equations.end(i) {
+            let entry = matrix.entry(i, before);
+            (matrix.values[diagonal], matrix.values[entry]) = (1.0, -1.0);
+            continue;
+        }
+        let is_given = matches!(equations.condition(i), Some(Condition { warmth: Warmth::Given(_), .. }));
+        if is_given || equations.end(i).is_some() {
             matrix.values[diagonal] = 1.0;
             continue;
         }

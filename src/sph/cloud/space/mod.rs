@@ -3,6 +3,7 @@
 //! The same method as in the plane ([`super`]), with fits of second order to more neighbours. Its systems are too large for direct
 //! factors; they are solved by GMRES with a block preconditioner ([`linear`]).
 pub mod equations;
+pub mod facets;
 pub mod figures;
 pub mod linear;
 pub mod particles;

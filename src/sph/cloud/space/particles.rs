@@ -142,6 +142,7 @@ impl Cloud {
             damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
+            ends: vec![],
             stencils: self.stencils.clone(),
         }
     }

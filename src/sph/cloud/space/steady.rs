@@ -9,7 +9,8 @@ use super::equations::{Derivatives, Equations, State, FLOW, PRESSURE, TEMPERATUR
 use super::linear::{heat_matrix, Border, Linear, System};
 use crate::numerics::incomplete_lu::IncompleteLu;
 use crate::numerics::krylov::gmres_restarted;
-use crate::numerics::sparse_lu::{BlockMatrix, Singular};
+use crate::numerics::sparse_lu::{BlockMatrix, Order, Singular};
+use std::sync::Arc;
 
 /// The flow rate as a linear function of the state: its value and derivative by u, v, w, p, `[N, 4]`.
 pub trait FlowRate {
@@ -36,6 +37,8 @@ pub struct Counts {
 pub struct Solver {
     pub equations: Equations,
     pub threads: usize,
+    /// The order in which the whole matrix is factorised; none: its parts are, approximately.
+    pub order: Option<Arc<Order>>,
     pub counts: Counts,
 }
 
@@ -43,7 +46,7 @@ type Drive<'a> = Option<(&'a Held, &'a dyn FlowRate)>;
 
 impl Solver {
     pub fn new(equations: Equations, threads: usize) -> Self {
-        Self { equations, threads, counts: Counts::default() }
+        Self { equations, threads, order: None, counts: Counts::default() }
     }
 
     /// The weight of continuity beside momentum in the norm of residuals: momenta diffuse at this rate over a stencil.
@@ -122,7 +125,8 @@ impl Solver {
             last = largest;
             log::debug!("Newton: residual {largest:.2e} after {} iterations", self.counts.iterations);
             let linear = Linear::new(&self.equations, state, &d, operators);
-            let system = System::new(linear, self.border(state, &d, operators, held), self.threads)?;
+            let system =
+                System::new(linear, self.border(state, &d, operators, held), self.threads, self.order.as_ref())?;
             self.counts.bytes = system.bytes();
             let right: Vec<f64> = residual.iter().map(|x| -x).collect();
             let tolerance = (0.1 * largest / scale).clamp(1e-5, 1e-2);
@@ -193,7 +197,7 @@ impl Solver {
         }
         let corner = (0..m).map(|i| (0..m).map(|j| corner[j][i]).collect()).collect();
         let linear = Linear::new(&self.equations, state, &d, operators).transposed();
-        let system = System::new(linear, [rows, columns, corner], self.threads)?;
+        let system = System::new(linear, [rows, columns, corner], self.threads, self.order.as_ref())?;
         let weight = 1.0 / self.equations.stencils.scale(0);
         let flow = system.solve(&flow_bar, ADJOINT, weight, &mut self.counts.iterations);
         let flow = flow.ok_or(NoSteadyState::Adjoint)?;

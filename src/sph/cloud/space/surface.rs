@@ -7,6 +7,7 @@
 use super::super::nearest::{Nearest, Plane, Region};
 use super::super::outline::{Outline, Scalar};
 use super::super::placing::{lengths, spread, Polygon};
+use super::facets::{Facet, Facets};
 use crate::config::custom::Part;
 use std::f64::consts::PI;
 
@@ -19,6 +20,8 @@ pub enum Spot {
     Face { along: usize, end: usize, at: [f64; 2], share: f64 },
     /// Parameter of an outline and its change, place along the axis and length there.
     Column { t: f64, dt: f64, at: f64, length: f64 },
+    /// A point of a surface of triangles, in the file's lengths and directions.
+    Facet(Facet),
 }
 
 /// Place of a spot, and normal into the fluid times area.
@@ -46,6 +49,8 @@ pub enum Form {
     /// Numbers: lower and upper corner.
     Box,
     Column(Box<Column>),
+    /// Numbers: centre, scale, degrees around the axis along z through the centre.
+    Facets(Box<Facets>),
 }
 
 /// The surface of a shape.
@@ -66,6 +71,13 @@ pub fn across(axis: usize) -> [usize; 2] {
 fn plane_across(region: &Region<3>, axis: usize) -> Plane {
     let [a, b] = across(axis);
     Plane { size: [region.size[a], region.size[b]], periodic: [region.periodic[a], region.periodic[b]] }
+}
+
+/// A vector turned by an angle in degrees around z.
+fn turned<S: Scalar>(r: [S; 3], degrees: S) -> [S; 3] {
+    let angle = degrees * S::of(PI / 180.0);
+    let (sin, cos) = (angle.sin(), angle.cos());
+    [cos * r[0] - sin * r[1], sin * r[0] + cos * r[1], r[2]]
 }
 
 /// About evenly spaced directions (a Fibonacci lattice on the sphere; Gonzalez 2010).
@@ -101,6 +113,7 @@ impl Surface {
             Form::Ball => self.numbers[3],
             Form::Box => (0..3).map(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d])).fold(f64::MAX, f64::min),
             Form::Column(column) => (0.5 * column.polygon.area()).sqrt(),
+            Form::Facets(facets) => self.numbers[3] * facets.half_width,
         }
     }
 
@@ -125,6 +138,12 @@ impl Surface {
                 } else {
                     distance
                 }
+            }
+            Form::Facets(facets) => {
+                let r = region.between([self.numbers[0], self.numbers[1], self.numbers[2]], p);
+                let scale = self.numbers[3];
+                let back = turned(r, -self.numbers[4]);
+                scale * facets.distance(back.map(|x| x / scale))
             }
         }
     }
@@ -180,6 +199,10 @@ impl Surface {
                 };
                 (0..count).flat_map(row).collect()
             }
+            Form::Facets(facets) => {
+                let scale = self.numbers[3];
+                facets.spread(spacing / scale, distance / scale).into_iter().map(Spot::Facet).collect()
+            }
         }
     }
 
@@ -211,6 +234,15 @@ impl Surface {
                 (place[a], place[b], place[*axis]) = (point.place[0], point.place[1], S::of(at));
                 (area[a], area[b]) = (point.along[1] * S::of(dt * length), -point.along[0] * S::of(dt * length));
                 OnSurface { place, area }
+            }
+            (Spot::Facet(facet), _) => {
+                let (scale, angle) = (s[3], s[4]);
+                let place = turned(facet.place.map(S::of), angle);
+                let area = turned(facet.area.map(S::of), angle);
+                OnSurface {
+                    place: std::array::from_fn(|d| s[d] + scale * place[d]),
+                    area: area.map(|a| scale * scale * a),
+                }
             }
             // Columns' spots are on columns.
             (Spot::Column { .. }, _) => OnSurface { place: [zero; 3], area: [zero; 3] },
