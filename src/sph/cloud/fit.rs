@@ -1,4 +1,4 @@
-//! Derivatives at fixed particles by fits of second order, with weights that do not depend on the shape.
+//! Derivatives at fixed particles by fits of second order (in space also of third), with weights that do not depend on the shape.
 //!
 //! Every particle i has the K nearest particles of the reference cloud as neighbours, with weights
 //! W = (1 - q)^4 (1 + 4 q), q = r0 / R_i, of their reference distances r0, R_i the distance of neighbour K + 1. Lists and
@@ -15,7 +15,8 @@
 //!   S f = 2 D / (h^2 sum_j W s^2) sum_j W (f_j - f_i - d.q),   s = r_ij / h_i,
 //! ```
 //!
-//! which vanishes for quadratic fields, is of fourth order for smooth ones, and sees a checkerboard.
+//! which vanishes for quadratic fields, is of fourth order for smooth ones, and sees a checkerboard. In space a fit may be of third
+//! order, with the monomials of [`crate::sph::consistent::stencil::to_third`]; its S vanishes for cubic fields.
 //!
 //! Tables of pairs are `[blocks, K, WIDEST]` (K of each block), those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
@@ -23,7 +24,9 @@ use super::nearest::Region;
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::numerics::sweep::{run_parts, PartKernel};
-use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, monomials, packed, pull_back, solve, values};
+use crate::sph::consistent::stencil::{
+    accumulate, at, dot, factorise, monomials, packed, pull_back, solve, to_third, values,
+};
 
 /// Coefficients of a pair in the plane: the derivatives x, y, xx, xy, yy, and S.
 pub const COEFFICIENTS: usize = monomials(2) + 1;
@@ -67,6 +70,8 @@ pub struct Stencils<const D: usize = 2> {
     weight: Vec<f64>,
     /// h_i, `[blocks, WIDEST]`.
     scale: Vec<f64>,
+    /// 1 for a fit of third order, 0 for one of second order, `[blocks, WIDEST]`.
+    third: Vec<f64>,
 }
 
 /// Rows of a table of pairs: the number of particles rounded up to whole blocks.
@@ -88,7 +93,7 @@ impl<const D: usize> Stencils<D> {
     }
 
     /// The stencils of particles at `places`, of `count` neighbours each, given the distance and number of those `near` each, nearest
-    /// first.
+    /// first. In space fits may be of third order.
     ///
     /// # Errors
     /// A particle with fewer than `count + 1` of them.
@@ -96,6 +101,7 @@ impl<const D: usize> Stencils<D> {
         plane: Region<D>,
         places: &[[f64; D]],
         count: impl Fn(usize) -> usize,
+        is_third: impl Fn(usize) -> bool,
         near: &[Vec<(f64, u32)>],
     ) -> Result<Self, usize> {
         let (n, all_blocks) = (places.len(), blocks(places.len()));
@@ -113,6 +119,7 @@ impl<const D: usize> Stencils<D> {
             shift: std::array::from_fn(|_| empty.clone()),
             weight: empty,
             scale: vec![1.0; all_blocks * WIDEST],
+            third: vec![0.0; all_blocks * WIDEST],
         };
         // Lanes behind the last particle repeat it, so that their numbers are finite.
         for lane in 0..all_blocks * WIDEST {
@@ -123,6 +130,7 @@ impl<const D: usize> Stencils<D> {
             }
             let (reach, scale) = reach_and_scale(found[neighbours].0);
             all.scale[lane] = scale;
+            all.third[lane] = if is_third(i) { 1.0 } else { 0.0 };
             for k in 0..all.count(lane) {
                 let place = all.place(lane, k);
                 // Where others of the block have more neighbours, a particle is its own, with weight 0.
@@ -180,7 +188,7 @@ impl<const D: usize> Stencils<D> {
     ) -> Coefficients<C> {
         let padded = self.padded(position);
         let mut value = vec![0.0; self.list.len() * C];
-        run_parts(&Forward::<D, Q, P> { stencils: self, position: &padded }, self.parts(&mut value, C));
+        run_parts(&Forward::<D, Q, P, C> { stencils: self, position: &padded }, self.parts(&mut value, C));
         Coefficients { first: self.first.clone(), value }
     }
 
@@ -241,13 +249,11 @@ impl<const D: usize> Stencils<D> {
 
 /// What fits in a number of dimensions are made of.
 macro_rules! in_dimension {
-    ($dimension: literal, $coefficients: ident) => {
+    ($dimension: literal, $coefficients: ident, $monomials: expr) => {
         impl Stencils<$dimension> {
             /// The coefficients of all pairs for positions `[D][N]`, `[blocks, K, C, WIDEST]`.
             pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
-                self.all_coefficients::<{ monomials($dimension) }, { packed(monomials($dimension)) }, $coefficients>(
-                    position,
-                )
+                self.all_coefficients::<{ $monomials }, { packed($monomials) }, $coefficients>(position)
             }
 
             /// The cotangents of positions `[D][N]`, added to `position_bar`, given those of the derivatives of fields.
@@ -260,7 +266,7 @@ macro_rules! in_dimension {
                 bar: &[Vec<[f64; $coefficients]>],
                 position_bar: &mut [Vec<f64>; $dimension],
             ) {
-                self.pull_back_all::<{ monomials($dimension) }, { packed(monomials($dimension)) }, $coefficients>(
+                self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
                     position,
                     fields,
                     bar,
@@ -271,8 +277,8 @@ macro_rules! in_dimension {
     };
 }
 
-in_dimension!(2, COEFFICIENTS);
-in_dimension!(3, COEFFICIENTS_3D);
+in_dimension!(2, COEFFICIENTS, monomials(2));
+in_dimension!(3, COEFFICIENTS_3D, to_third(3));
 
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]
@@ -282,6 +288,19 @@ pub struct Coefficients<const C: usize = COEFFICIENTS> {
 }
 
 impl<const C: usize> Coefficients<C> {
+    /// Replaces first derivatives and S of every particle i by those of `other` coefficients, whose `count(i)` neighbours are the first of
+    /// this one's.
+    pub fn take_slopes(&mut self, other: &Self, count: impl Fn(usize) -> usize, dimension: usize) {
+        for i in 0..(self.first.len() - 1) * WIDEST {
+            let block = i / WIDEST;
+            for k in 0..self.first[block + 1] - self.first[block] {
+                let first = (self.first[block] + k) * C * WIDEST + i % WIDEST;
+                let slopes = if k < count(i) { other.of(i, k) } else { [0.0; C] };
+                (0..dimension).chain([C - 1]).for_each(|c| self.value[first + c * WIDEST] = slopes[c]);
+            }
+        }
+    }
+
     /// First and second derivatives (x, y, xx, xy, yy) and S of neighbour k of particle i.
     #[inline(always)]
     pub fn of(&self, i: usize, k: usize) -> [f64; C] {
@@ -401,6 +420,14 @@ fn offset<L: Lanes<Real = f64>, const D: usize>(
     (s, L::load_part(&stencils.weight[place..]))
 }
 
+/// The monomials of s; those of third order are 0 where `third` is.
+#[inline(always)]
+fn monomials_of<L: Lanes<Real = f64>, const D: usize, const Q: usize>(s: &[L; D], third: L) -> [L; Q] {
+    let mut q = values::<L, D, Q>(s);
+    (monomials(D)..Q).for_each(|a| q[a] = q[a] * third);
+    q
+}
+
 #[inline(always)]
 fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
     stencils: &Stencils<D>,
@@ -409,10 +436,11 @@ fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
     l: usize,
 ) -> Fit<L, Q, P> {
     let inverse_scale = L::splat(1.0) / L::load_part(&stencils.scale[block * WIDEST + l..]);
+    let third = L::load_part(&stencils.third[block * WIDEST + l..]);
     let (mut factor, mut sum, mut square) = ([L::zero(); P], [L::zero(); Q], L::zero());
     for k in 0..stencils.count(block * WIDEST) {
         let (s, w) = offset(stencils, position, (block, l, k), inverse_scale);
-        let q = values::<L, D, Q>(&s);
+        let q = monomials_of::<L, D, Q>(&s, third);
         accumulate(&mut factor, w, &q);
         square = w.mul_add(square_of(&s), square);
         for a in 0..Q {
@@ -426,31 +454,32 @@ fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
     Fit { mean: solve::<L, Q, P>(&factor, sum), factor, inverse_scale, square }
 }
 
-struct Forward<'a, const D: usize, const Q: usize, const P: usize> {
+struct Forward<'a, const D: usize, const Q: usize, const P: usize, const C: usize> {
     stencils: &'a Stencils<D>,
     position: &'a [Vec<f64>; D],
 }
 
-impl<'a, const D: usize, const Q: usize, const P: usize> PartKernel<f64> for Forward<'a, D, Q, P> {
+impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKernel<f64> for Forward<'a, D, Q, P, C> {
     type Part = &'a mut [f64];
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
         for l in (0..WIDEST).step_by(L::COUNT) {
+            let third = L::load_part(&self.stencils.third[block * WIDEST + l..]);
             let Fit { factor, inverse_scale, square, mean } = fit::<L, D, Q, P>(self.stencils, self.position, block, l);
             let second = inverse_scale * inverse_scale;
             let strength = L::splat(2.0 * D as f64) * second / square;
             for k in 0..self.stencils.count(block * WIDEST) {
                 let (s, w) = offset(self.stencils, self.position, (block, l, k), inverse_scale);
-                let q = values::<L, D, Q>(&s);
+                let q = monomials_of::<L, D, Q>(&s, third);
                 let c = solve::<L, Q, P>(&factor, q);
-                for a in 0..=Q {
+                for a in 0..C {
                     let value = match a {
-                        left if left == Q => strength * w * (L::splat(1.0) - dot(&q, &mean)),
+                        left if left == C - 1 => strength * w * (L::splat(1.0) - dot(&q, &mean)),
                         first if first < D => w * c[a] * inverse_scale,
                         _ => w * c[a] * second,
                     };
-                    let to = (k * (Q + 1) + a) * WIDEST + l;
+                    let to = (k * C + a) * WIDEST + l;
                     // SAFETY: COUNT lanes from l on are within the row of WIDEST.
                     unsafe { value.store(part[to..to + L::COUNT].as_mut_ptr()) };
                 }
@@ -476,6 +505,7 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
         let stencils = self.stencils;
         let neighbours = stencils.count(block * WIDEST);
         for l in (0..WIDEST).step_by(L::COUNT) {
+            let third = L::load_part(&stencils.third[block * WIDEST + l..]);
             let Fit { factor, inverse_scale, square, .. } = fit::<L, D, Q, P>(stencils, self.position, block, l);
             let lane = |of: &dyn Fn(usize) -> f64| -> L {
                 let mut numbers = [0.0; WIDEST];
@@ -490,7 +520,7 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                 part[to..to + L::COUNT].fill(0.0);
             }
             for (values_of, bar) in self.fields.iter().zip(self.bar) {
-                let left = lane(&|i| bar[i][Q]) * L::splat(2.0 * D as f64) * second / square;
+                let left = lane(&|i| bar[i][C - 1]) * L::splat(2.0 * D as f64) * second / square;
                 let own = lane(&|i| values_of[i]);
                 let difference = |k: usize| {
                     let place = (stencils.first[block] + k) * WIDEST + l;
@@ -503,7 +533,7 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                 let (mut right, mut sum) = ([L::zero(); Q], [L::zero(); Q]);
                 for k in 0..neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = values::<L, D, Q>(&s);
+                    let q = monomials_of::<L, D, Q>(&s, third);
                     let weighted = w * difference(k);
                     for a in 0..Q {
                         right[a] = weighted.mul_add(q[a], right[a]);
@@ -513,26 +543,30 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                 let d = solve::<L, Q, P>(&factor, right);
                 let mut d_bar = [L::zero(); Q];
                 for (a, d_bar) in d_bar.iter_mut().enumerate() {
-                    let unit = if a < D { inverse_scale } else { second };
-                    *d_bar = lane(&|i| bar[i][a]) * unit - left * sum[a];
+                    *d_bar = -(left * sum[a]);
+                    if a < C - 1 {
+                        let unit = if a < D { inverse_scale } else { second };
+                        *d_bar = lane(&|i| bar[i][a]) * unit + *d_bar;
+                    }
                 }
                 let lambda = solve::<L, Q, P>(&factor, d_bar);
                 // The cotangent of sum W s^2.
                 let mut rest = L::zero();
                 for k in 0..neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = values::<L, D, Q>(&s);
+                    let q = monomials_of::<L, D, Q>(&s, third);
                     rest = w.mul_add(difference(k) - dot(&d, &q), rest);
                 }
                 let square_bar = -(left * rest) / square;
                 for k in 0..neighbours {
                     let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = values::<L, D, Q>(&s);
+                    let q = monomials_of::<L, D, Q>(&s, third);
                     let (error, along) = (difference(k) - dot(&d, &q), dot(&lambda, &q));
                     let mut q_bar = [L::zero(); Q];
                     for a in 0..Q {
                         q_bar[a] = w * (lambda[a] * error - d[a] * along - left * d[a]);
                     }
+                    (monomials(D)..Q).for_each(|a| q_bar[a] = q_bar[a] * third);
                     let s_bar = pull_back::<L, D, Q>(&s, &q_bar);
                     for d in 0..D {
                         let to = (D * k + d) * WIDEST + l;

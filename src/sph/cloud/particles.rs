@@ -212,7 +212,7 @@ impl Cloud {
             let near: Vec<_> = (0..places.place.len()).map(|i| of(i, NEIGHBOURS + 1)).collect();
             (near, places.boundary.iter().map(on_wall).collect())
         };
-        let stencils = Stencils::new(ground.plane, &places.place, |_| NEIGHBOURS, &near)
+        let stencils = Stencils::new(ground.plane, &places.place, |_| NEIGHBOURS, |_| false, &near)
             .map_err(|i| Unusable::Lonely(places.place[i]))?;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = stencils.coefficients(&position);

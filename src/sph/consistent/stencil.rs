@@ -22,6 +22,11 @@ pub const fn monomials(dimension: usize) -> usize {
     dimension + dimension * (dimension + 1) / 2
 }
 
+/// Number of monomials up to third order: those up to second order, then s_a s_b s_c / 6 with a <= b <= c.
+pub const fn to_third(dimension: usize) -> usize {
+    monomials(dimension) + dimension * (dimension + 1) * (dimension + 2) / 6
+}
+
 /// Number of stored entries of a symmetric matrix: the lower triangle, row by row.
 pub const fn packed(size: usize) -> usize {
     size * (size + 1) / 2
@@ -40,7 +45,7 @@ pub const fn quadratic(dimension: usize, a: usize, b: usize) -> usize {
     dimension + a * dimension - a * (a + 1) / 2 + b
 }
 
-/// The monomials q(s).
+/// The monomials q(s), up to second order or, if Q is [`to_third`], to third.
 #[inline(always)]
 pub fn values<L: Lanes, const D: usize, const Q: usize>(s: &[L; D]) -> [L; Q] {
     let half = L::splat(L::Real::of(0.5));
@@ -52,7 +57,18 @@ pub fn values<L: Lanes, const D: usize, const Q: usize>(s: &[L; D]) -> [L; Q] {
             q[quadratic(D, a, b)] = s[a] * s[b];
         }
     }
+    if Q > monomials(D) {
+        for (k, [a, b, c]) in cubics::<D>().enumerate() {
+            q[monomials(D) + k] = L::splat(L::Real::of(1.0 / 6.0)) * s[a] * s[b] * s[c];
+        }
+    }
     q
+}
+
+/// Components of the monomials of third order.
+#[inline(always)]
+fn cubics<const D: usize>() -> impl Iterator<Item = [usize; 3]> {
+    (0..D).flat_map(|a| (a..D).flat_map(move |b| (b..D).map(move |c| [a, b, c])))
 }
 
 /// The derivative of sum_k c_k q_k(s) with respect to s.
@@ -66,6 +82,14 @@ pub fn pull_back<L: Lanes, const D: usize, const Q: usize>(s: &[L; D], c: &[L; Q
                 let (low, high) = if a < b { (a, b) } else { (b, a) };
                 bar[a] = c[quadratic(D, low, high)].mul_add(s[b], bar[a]);
             }
+        }
+    }
+    if Q > monomials(D) {
+        for (k, [a, b, e]) in cubics::<D>().enumerate() {
+            let part = L::splat(L::Real::of(1.0 / 6.0)) * c[monomials(D) + k];
+            bar[a] = bar[a] + part * s[b] * s[e];
+            bar[b] = bar[b] + part * s[a] * s[e];
+            bar[e] = bar[e] + part * s[a] * s[b];
         }
     }
     bar

@@ -7,6 +7,7 @@ use crate::sph::cloud::nearest::{Nearest, Region};
 use crate::sph::cloud::space::equations::{
     Bar, Condition, Derivatives, End, Equations, Motion, State, FLOW, TEMPERATURE,
 };
+use crate::sph::cloud::space::fits::Fits;
 use crate::sph::cloud::space::steady::{FlowRate, Solver};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use std::sync::Arc;
@@ -60,7 +61,7 @@ pub struct Channel {
 #[derive(Debug)]
 pub struct OverRelief {
     pub channel: Channel,
-    stencils: Stencils<3>,
+    fits: Fits,
     ends: Vec<Option<End>>,
     /// Of up to [`FACTORISED`] particles.
     order: Option<Arc<Order>>,
@@ -100,7 +101,7 @@ impl OverRelief {
         let reach = |i: usize| dx * (if i < inside { INSIDE } else { ON_WALL } + 1e-3).sqrt();
         let lists: Vec<Vec<(f64, u32)>> = (0..places.len()).map(|i| near.of(places[i], 80, |j, _| j != i)).collect();
         let count = |i: usize| lists[i].partition_point(|found| found.0 < reach(i));
-        let stencils = Stencils::new(region, &places, count, &lists).expect("enough particles for the fits");
+        let stencils = Stencils::new(region, &places, count, |_| false, &lists).expect("enough particles for the fits");
         let slack = 1e-9 * dx;
         let end = |i: usize| {
             let (x, before) = (places[i][0], channel.before(i));
@@ -113,7 +114,7 @@ impl OverRelief {
         // Seen from the side, across the shortest direction.
         let order = || Arc::new(Order::new(&stencils.matrix(FLOW), |i| [places[i][0], places[i][1]]));
         let order = (places.len() <= FACTORISED).then(order);
-        Self { stencils, ends, order, row_weights: row_weights(rows), channel }
+        Self { fits: Fits::of_one(stencils), ends, order, row_weights: row_weights(rows), channel }
     }
 
     pub fn particles(&self) -> usize {
@@ -132,7 +133,7 @@ impl OverRelief {
         let (n, inside, columns) = (channel.particles(), channel.inside(), channel.columns());
         let field = |row: usize| state[row * n..(row + 1) * n].to_vec();
         let position: [Vec<f64>; 3] = std::array::from_fn(field);
-        let operators = self.stencils.coefficients(&position);
+        let operators = self.fits.coefficients(&position);
         let mut fields: [Vec<f64>; 5] = std::array::from_fn(|f| field(row::U + f));
         fields[..3].iter_mut().for_each(|u| u[inside..].fill(0.0));
         let condition = |k: usize| {
@@ -155,7 +156,7 @@ impl OverRelief {
             inside,
             conditions: (0..2 * columns).map(condition).collect(),
             ends: self.ends.clone(),
-            stencils: self.stencils.clone(),
+            fits: self.fits.clone(),
         };
         let height = channel.height();
         let opening: Vec<f64> =
@@ -202,7 +203,7 @@ impl OverRelief {
             if matches!(warmth, Warmth::Flux(_)) || position[0][i] >= until {
                 return 0.0;
             }
-            let slopes = operators.derivatives(&self.stencils, i, &flow.fields[TEMPERATURE]);
+            let slopes = operators.derivatives(&self.fits.all, i, &flow.fields[TEMPERATURE]);
             let along: f64 = (0..3).map(|d| normal[d] * slopes[d]).sum();
             -channel.diffusivity * along * channel.spacing * channel.spacing / normal[1]
         };

@@ -203,6 +203,7 @@ impl<R: Real> Steady<R> for ReliefParticles<R> {
             mass,
             temperature: Some(state.narrow(0, row::T, 1)?),
             wall_heat: None,
+            carried_heat: None,
         })
     }
 }

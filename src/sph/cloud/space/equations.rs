@@ -9,7 +9,8 @@
 //! ```
 
 use super::super::equations::Warmth;
-use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use super::fits::Fits;
 use crate::sph::consistent::stencil::quadratic;
 
 /// Index of the pressure and of the temperature among the fields.
@@ -83,7 +84,7 @@ pub struct Equations {
     pub conditions: Vec<Condition>,
     /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
     pub ends: Vec<Option<End>>,
-    pub stencils: Stencils<3>,
+    pub fits: Fits,
 }
 
 /// The sum of the second derivatives.
@@ -97,11 +98,11 @@ pub(super) fn dot(a: [f64; 3], b: &[f64; C]) -> f64 {
 
 impl Equations {
     pub fn particles(&self) -> usize {
-        self.stencils.particles
+        self.fits.all.particles
     }
 
     pub fn smoothing(&self, i: usize) -> f64 {
-        SMOOTHING * self.stencils.scale(i)
+        SMOOTHING * self.fits.all.scale(i)
     }
 
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and the mean of p is 0.
@@ -122,7 +123,7 @@ impl Equations {
             match f {
                 TEMPERATURE if self.diffusivity.is_none() => vec![[0.0; C]; self.particles()],
                 _ => {
-                    (0..self.particles()).map(|i| operators.derivatives(&self.stencils, i, &state.fields[f])).collect()
+                    (0..self.particles()).map(|i| operators.derivatives(&self.fits.all, i, &state.fields[f])).collect()
                 }
             }
         };
@@ -236,7 +237,7 @@ impl Equations {
     pub fn by_fields(&self, operators: &Coefficients<C>, bar: &Bar) -> [Vec<f64>; 5] {
         let mut fields = bar.fields.clone();
         for (f, to) in fields.iter_mut().enumerate() {
-            operators.pull_back(&self.stencils, &bar.derivatives.0[f], to);
+            operators.pull_back(&self.fits.all, &bar.derivatives.0[f], to);
         }
         fields
     }
@@ -246,7 +247,7 @@ impl Equations {
         let mut found = bar.position.clone();
         let count = if self.diffusivity.is_some() { 5 } else { 4 };
         let fields: Vec<&[f64]> = state.fields[..count].iter().map(Vec::as_slice).collect();
-        self.stencils.pull_back(position, &fields, &bar.derivatives.0[..count], &mut found);
+        self.fits.pull_back(position, &fields, &bar.derivatives.0[..count], &mut found);
         found
     }
 }

@@ -66,15 +66,15 @@ impl Linear {
         let (mut first, mut column, mut pairs) = (vec![0], vec![], vec![]);
         let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
         let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
-        let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.stencils.matrix(1) };
+        let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.fits.all.matrix(1) };
         for i in 0..n {
             let motion = equations.condition(i).map(|condition| condition.motion);
             let u = state.velocity(i);
             let mut sum = [0.0; 5];
-            let scale = equations.stencils.scale(i);
-            let weights: f64 = (0..equations.stencils.count(i)).map(|k| equations.stencils.pair(i, k).1).sum();
-            for k in 0..equations.stencils.count(i) {
-                let (j, c) = (equations.stencils.neighbour(i, k), operators.of(i, k));
+            let scale = equations.fits.all.scale(i);
+            let weights: f64 = (0..equations.fits.all.count(i)).map(|k| equations.fits.all.pair(i, k).1).sum();
+            for k in 0..equations.fits.all.count(i) {
+                let (j, c) = (equations.fits.all.neighbour(i, k), operators.of(i, k));
                 if j == i {
                     continue;
                 }
@@ -88,7 +88,7 @@ impl Linear {
                 column.push(j as u32);
                 pairs.push(pair);
                 if !is_at_rest && !matches!(motion, Some(Motion::Outflow(_))) {
-                    let value = 4.8 * equations.stencils.pair(i, k).1 / (weights * scale * scale);
+                    let value = 4.8 * equations.fits.all.pair(i, k).1 / (weights * scale * scale);
                     let (entry, diagonal) = (laplace.entry(i, j as u32), laplace.entry(i, i as u32));
                     laplace.values[entry] += value;
                     laplace.values[diagonal] -= value;
@@ -457,7 +457,7 @@ impl System {
 /// The matrix of the heat's residual by T.
 pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficients<C>) -> BlockMatrix {
     let alpha = equations.diffusivity.unwrap_or(0.0);
-    let mut matrix = equations.stencils.matrix(1);
+    let mut matrix = equations.fits.all.matrix(1);
     for i in 0..equations.particles() {
         let diagonal = matrix.entry(i, i as u32);
         if let Some(End::Outlet(before)) = equations.end(i) {
@@ -470,13 +470,13 @@ pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficient
             matrix.values[diagonal] = 1.0;
             continue;
         }
-        for k in 0..equations.stencils.count(i) {
+        for k in 0..equations.fits.all.count(i) {
             let c = operators.of(i, k);
             let value = match equations.condition(i) {
                 None => dot(state.velocity(i), &c) - alpha * laplacian(&c),
                 Some(Condition { normal, .. }) => alpha * (dot(*normal, &c) + equations.smoothing(i) * c[LEFT]),
             };
-            let entry = matrix.entry(i, equations.stencils.neighbour(i, k) as u32);
+            let entry = matrix.entry(i, equations.fits.all.neighbour(i, k) as u32);
             matrix.values[entry] += value;
             matrix.values[diagonal] -= value;
         }

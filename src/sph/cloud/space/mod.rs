@@ -1,10 +1,11 @@
 //! Fixed particles around shapes in three dimensions: the steady flow, its figures and their exact derivatives.
 //!
-//! The same method as in the plane ([`super`]), with fits of second order to more neighbours. Its systems are too large for direct
+//! The same method as in the plane ([`super`]), with [two fits](fits) of each particle to more neighbours. Its systems are too large for direct
 //! factors; they are solved by GMRES with a block preconditioner ([`linear`]).
 pub mod equations;
 pub mod facets;
 pub mod figures;
+pub mod fits;
 pub mod linear;
 pub mod particles;
 pub mod placing;

@@ -3,11 +3,12 @@
 //! Points on a surface follow it; the others follow by a harmonic map, see [`super::super::deformation`].
 
 use super::super::equations::Warmth;
-use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
-use super::super::nearest::Nearest;
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
+use super::super::nearest::{Nearest, Region};
 use super::super::outline::Dual;
 use super::super::particles::Unusable;
 use super::equations::{Bar, Condition, Equations, Motion};
+use super::fits::{Fits, Where};
 use super::placing::{BoundaryPoint, Ground, Places};
 use super::steady::Scalar;
 use super::surface::OnSurface;
@@ -15,11 +16,10 @@ use crate::sph::consistent::stencil::quadratic;
 use std::fmt::Debug;
 use std::sync::Arc;
 
-/// Neighbours of the fits inside.
-pub const NEIGHBOURS: usize = 32;
-/// The same on the boundary, where all are on one side. (With 32 as inside, the drag of an array of spheres is 2 % off, pressures
-/// oscillate from point to point, and the iterations hardly converge.)
-pub const ON_BOUNDARY: usize = 56;
+/// Second derivatives are fits of third order up to this distance from shapes, in dx.
+const REACH: f64 = 3.0;
+/// A particle is next to the boundary up to this distance, in its spacing.
+const NEXT_TO: f64 = 1.25;
 
 /// Velocity and temperature that points of the boundary have, by place.
 pub trait Surroundings: Debug + Send + Sync {
@@ -44,7 +44,7 @@ pub struct Cloud {
     pub ground: Ground,
     pub places: Places,
     pub fluid: Fluid,
-    pub stencils: Stencils<3>,
+    pub fits: Fits,
     pub surroundings: Arc<dyn Surroundings>,
     /// Middle of the points of each shape.
     pub centre: Vec<[f64; 3]>,
@@ -82,12 +82,13 @@ impl Cloud {
         threads: usize,
     ) -> Result<Self, Unusable<3>> {
         let places = ground.fill().map_err(Unusable::Placing)?;
-        let near = neighbours(&ground, &places, threads);
-        let count = |i: usize| if i < places.inside { NEIGHBOURS } else { ON_BOUNDARY };
-        let stencils =
-            Stencils::new(ground.region, &places.place, count, &near).map_err(|i| Unusable::Lonely(places.place[i]))?;
+        let kinds: Vec<Where> = (0..places.place.len()).map(|i| kind(&ground, &places, i)).collect();
+        let near = neighbours(&ground, &places, &kinds, threads);
+        let fits = Fits::new(ground.region, &places.place, &kinds, &near);
+        let fits = fits.map_err(|i| Unusable::Lonely(places.place[i]))?;
+        let stencils = &fits.all;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
-        let operators = stencils.coefficients(&position);
+        let operators = fits.coefficients(&position);
         let mut laplace = stencils.matrix(1);
         for i in 0..stencils.particles {
             let diagonal = laplace.entry(i, i as u32);
@@ -115,7 +116,7 @@ impl Cloud {
             .collect();
         let equation = |matrix| Scalar::new(matrix, threads).map_err(|_| Unusable::Singular);
         let map = [equation(laplace)?, equation(transposed)?];
-        Ok(Self { ground, places, fluid, stencils, surroundings, centre, map })
+        Ok(Self { ground, places, fluid, fits, surroundings, centre, map })
     }
 
     pub fn particles(&self) -> usize {
@@ -143,7 +144,7 @@ impl Cloud {
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
             ends: vec![],
-            stencils: self.stencils.clone(),
+            fits: self.fits.clone(),
         }
     }
 
@@ -179,7 +180,7 @@ impl Cloud {
                 position[d].iter_mut().zip(moved).for_each(|(x, moved)| *x += moved);
             }
         }
-        if let Some(place) = self.stencils.folded(&self.places.place, &position, 6) {
+        if let Some(place) = self.fits.all.folded(&self.places.place, &position, 6) {
             return Err(Unusable::Folded(place));
         }
         let condition = |(k, point): (usize, &BoundaryPoint)| {
@@ -188,7 +189,7 @@ impl Cloud {
             Condition { motion, warmth, normal: normal[k] }
         };
         let conditions = self.places.boundary.iter().enumerate().map(condition).collect();
-        let operators = self.stencils.coefficients(&position);
+        let operators = self.fits.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, volume, conditions, operators })
     }
 
@@ -292,8 +293,25 @@ impl Cloud {
     }
 }
 
+/// Where a particle is.
+fn kind(ground: &Ground, places: &Places, i: usize) -> Where {
+    if i >= places.inside {
+        return Where::Boundary;
+    }
+    let (p, Region { size, periodic }) = (places.place[i], ground.region);
+    let from_side = |d: usize| if periodic[d] { f64::INFINITY } else { p[d].min(size[d] - p[d]) };
+    let from_sides = (0..3).map(from_side).fold(f64::INFINITY, f64::min);
+    let from_shapes = ground.distance(p, None);
+    let is_next_to = from_shapes.min(from_sides) < NEXT_TO * places.spacing[i];
+    if is_next_to || from_shapes > REACH * ground.dx {
+        Where::Far
+    } else {
+        Where::NearShape
+    }
+}
+
 /// The particles next to each, nearest first, that no shape hides.
-fn neighbours(ground: &Ground, places: &Places, threads: usize) -> Vec<Vec<(f64, u32)>> {
+fn neighbours(ground: &Ground, places: &Places, kinds: &[Where], threads: usize) -> Vec<Vec<(f64, u32)>> {
     let all = Nearest::new(ground.region, ground.dx, &places.place);
     let distance: Vec<f64> = places.place.iter().map(|p| ground.distance(*p, None)).collect();
     let sees = |i: usize, j: usize, length: f64| {
@@ -307,8 +325,7 @@ fn neighbours(ground: &Ground, places: &Places, threads: usize) -> Vec<Vec<(f64,
             ground.distance(p, None) > -0.6 * finest
         })
     };
-    let count = |i: usize| if i < places.inside { NEIGHBOURS } else { ON_BOUNDARY };
-    let of = |i: usize| all.of(places.place[i], count(i) + 1, |j, length| j != i && sees(i, j, length));
+    let of = |i: usize| all.of(places.place[i], kinds[i].needs(), |j, length| j != i && sees(i, j, length));
     let n = places.place.len();
     let mut found: Vec<Vec<(f64, u32)>> = vec![vec![]; n];
     let share = n.div_ceil(threads.max(1)).max(1);

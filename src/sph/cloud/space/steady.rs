@@ -51,7 +51,7 @@ impl Solver {
 
     /// The weight of continuity beside momentum in the norm of residuals: momenta diffuse at this rate over a stencil.
     fn weight(&self) -> f64 {
-        self.equations.viscosity / self.equations.stencils.scale(0)
+        self.equations.viscosity / self.equations.fits.all.scale(0)
     }
 
     /// Columns, rows and corner of the border.
@@ -198,7 +198,7 @@ impl Solver {
         let corner = (0..m).map(|i| (0..m).map(|j| corner[j][i]).collect()).collect();
         let linear = Linear::new(&self.equations, state, &d, operators).transposed();
         let system = System::new(linear, [rows, columns, corner], self.threads, self.order.as_ref())?;
-        let weight = 1.0 / self.equations.stencils.scale(0);
+        let weight = 1.0 / self.equations.fits.all.scale(0);
         let flow = system.solve(&flow_bar, ADJOINT, weight, &mut self.counts.iterations);
         let flow = flow.ok_or(NoSteadyState::Adjoint)?;
         Ok((flow, heat))
