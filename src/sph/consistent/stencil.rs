@@ -87,9 +87,9 @@ pub fn pull_back<L: Lanes, const D: usize, const Q: usize>(s: &[L; D], c: &[L; Q
     if Q > monomials(D) {
         for (k, [a, b, e]) in cubics::<D>().enumerate() {
             let part = L::splat(L::Real::of(1.0 / 6.0)) * c[monomials(D) + k];
-            bar[a] = bar[a] + part * s[b] * s[e];
-            bar[b] = bar[b] + part * s[a] * s[e];
-            bar[e] = bar[e] + part * s[a] * s[b];
+            bar[a] += part * s[b] * s[e];
+            bar[b] += part * s[a] * s[e];
+            bar[e] += part * s[a] * s[b];
         }
     }
     bar
