@@ -860,7 +860,9 @@ fn divergence_over_thin_walls_says_so() {
                  points = [[0.19199, 0.54938], [0.092338, 0.68008], [0.089297, 0.63195], [0.10678, 0.37334]]\n\
                  [[shapes]]\nkind = \"box\"\nlower = [0.5, 0.2]\nupper = [0.6, 0.3]\nvelocity = [0.3, 0.0]\n";
     let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("mine.toml"), format!("scene = \"custom\"\n{blade}")).unwrap();
+    // Without the box: which of two causes a divergence begins at is chaos, and differs between processors.
+    let alone = blade.split("[[shapes]]\nkind = \"box\"").next().unwrap();
+    std::fs::write(folder.path().join("mine.toml"), format!("scene = \"custom\"\n{alone}")).unwrap();
     let simulate = |more: &[&str]| {
         let mut command = Command::cargo_bin("hydrograd").unwrap();
         command.current_dir(folder.path()).args(["simulate", "mine.toml", "--out", "run", "--threads", "1"]);

@@ -279,10 +279,12 @@ fn the_walls_heat_is_what_flows_out() {
         walls / outflow
     };
     let flat = ratio((0.0, 1.0));
-    // The targets interpolate the product u T, the pairs of particles carry a product of means: 0.9 % apart at this spacing.
-    assert!((flat - 1.0).abs() < 0.012, "{flat}");
+    // But for what is conducted through the section.
+    assert!((flat - 1.0).abs() < 1e-3, "{flat}");
+    // The weights of what the flow carries are not those of its continuity: over curved walls they differ by up to 0.7 % of the
+    // heat at this spacing, and by 0.2 % at half of it.
     for wall in [(0.01, 1.0), (-0.015, 2.0), (0.02, 3.0)] {
         let found = ratio(wall);
-        assert!((found / flat - 1.0).abs() < 2e-3, "{wall:?}: {found} {flat}");
+        assert!((found / flat - 1.0).abs() < 8e-3, "{wall:?}: {found} {flat}");
     }
 }

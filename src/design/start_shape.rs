@@ -52,7 +52,10 @@ impl Shape {
     /// smoothing length diverge over it; none where particles or walls are of other kinds, and of a configuration that the checks refuse.
     pub fn rough_turn(config: &Config) -> Option<f64> {
         let (facts, dx) = (config.method.facts(), config.resolution.dx);
-        let is_resolvable = dx > 0.0 && config.channel.length / dx < 1e5;
+        let channel = &config.channel;
+        let is_inside =
+            0.0 <= channel.hot_from && channel.hot_from <= channel.hot_to && channel.hot_to <= channel.length;
+        let is_resolvable = is_inside && dx > 0.0 && channel.length / dx < 1e5;
         if config.scene != Family::HeatedChannel || !facts.moves || facts.wall_cells || !is_resolvable {
             return None;
         }

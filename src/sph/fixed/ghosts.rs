@@ -12,7 +12,7 @@
 //! the distance along the adiabatic wall counts, which is half of it. With all of it the hot wall acts too far: at dx =
 //! 0.02 and 0.01 the gradient of Q by the pairs of nodes at the ends of the hot wall sums up to 61 and 89 % of that of
 //! finite elements; with none of it to 81 and 105 %, without the conormal term to 99 and 136 %, with half of it to 71
-//! and 97 %. Over walls of +-0.02 the worst errors of Q are, in this order, 1.1 and 0.4, 0.9 and 0.8, 0.8 and 1.4, 1.0
+//! and 97 %. (Measured before the edges acted where they are, see [`super::channel::EDGE`].) Over walls of +-0.02 the worst errors of Q are, in this order, 1.1 and 0.4, 0.9 and 0.8, 0.8 and 1.4, 1.0
 //! and 0.4 %.
 
 use super::channel::Channel;

@@ -13,18 +13,18 @@
 //! * D rho' = -sum M;
 //! * D rho u' = sum (nu Omega - M/2)(u_b - u_a) - sum [g_x (D_a + D_b) - g_y (S_a + S_b)] (p_b - p_a)/2 + D rho g;
 //! * D rho v' = sum (nu Omega - M/2)(v_b - v_a) - sum g_y p_b;
-//! * D rho T' = sum (alpha rho_a Omega - M/2)(T_b - T_a);
+//! * D rho T' = sum (alpha rho_a Omega - M*/2)(T_b - T_a);
 //!
-//! where p = c^2 (rho - 1), and everything is per reference density. The x momentum uses differences of p, so that a
+//! where p = c^2 (rho - 1), and everything is per reference density. M* is M with the weights c in place of g, which are exact for
+//! cubic fields (see [`stencil`]). The x momentum uses differences of p, so that a
 //! uniform pressure exerts no force on any wall: the kernel's derivatives of D and S cancel only over smooth walls. Q
-//! is better too (0.24 instead of 0.33 % on average). Beyond each wall are two rows of ghosts: quadratic through the
+//! was better too (0.24 instead of 0.33 % on average, by former weights). Beyond each wall are two rows of ghosts: quadratic through the
 //! wall's value for u, v, m_x and a hot T, odd for m_y, linear for p, and even for an adiabatic T, without the flux
 //! along the wall (conormal).
 //!
 //! A step (symplectic) computes M, kicks u and v (with the kick of a [`crate::sph::laws::drive::Drive`]), computes M
 //! again for the new velocities, and advances rho and T by it. Mass is conserved to rounding. The steady state does not
-//! depend on the time step; at H = 0.2 over walls of +-0.02 its Q is within 1.0 % (dx = 0.02) and 0.5 % (0.01) of
-//! finite elements. dt is at most 1.2 dx/(c + u), and limited by diffusion.
+//! depend on the time step; at H = 0.2 over walls of +-0.02 its Q is within 0.3 % (dx = 0.02) of finite elements. dt is at most 1.2 dx/(c + u), and limited by diffusion.
 //!
 //! The method needs a channel with rows from wall to wall, periodic in x. Sources: Antuono et al. 2010 (delta term with
 //! gradient correction); Morris, Fox and Zhu 1997 (viscosity, boundary values); Bonet and Lok 1999 (kernels with
