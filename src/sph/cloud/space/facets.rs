@@ -4,7 +4,7 @@
 //! place is inside says the normal at the nearest point: that of a triangle; of an edge the sum of both triangles'; of a corner the
 //! sum of all, weighted by their angles there (Baerentzen and Aanaes 2005).
 //!
-//! Edges along which normals turn by more than [`SHARP`] divide the surface into patches. Points are spread on each patch alone, so that
+//! Edges along which normals turn by more than `SHARP` divide the surface into patches. Points are spread on each patch alone, so that
 //! those beside a sharp edge are half a spacing from it and have the normal of their side, as on a box.
 
 use super::super::nearest::{Nearest, Region};
