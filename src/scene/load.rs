@@ -582,6 +582,11 @@ fn see_further(merged: &mut Merged, config: &Config) {
     let is_given = merged.places().contains_key("resolution.smoothing_length");
     if !is_given && Shape::rough_turn(config).is_some() {
         merged.set("resolution.smoothing_length", Value::from(ROUGH_SMOOTHING_LENGTH), "a rough wall");
+        // The kernel then reaches over a third row of dummy particles.
+        let is_default = merged.places().get("channel.wall_rows").is_none_or(|place| place.starts_with("default of"));
+        if config.channel.wall_rows < 3 && is_default {
+            merged.set("channel.wall_rows", Value::from(3), "a rough wall");
+        }
     }
 }
 
