@@ -502,8 +502,10 @@ fn finish(mut merged: Merged, source: Source) -> Result<Loaded, BadInput> {
             config = merged.read();
         }
         fit_window(&mut merged, &config);
-        fit_rows(&mut merged, &config);
+        // The rows of dummy particles fill the kernel, so its length comes first.
         see_further(&mut merged, &config);
+        config = merged.read();
+        fit_rows(&mut merged, &config);
     } else if config.has_design() {
         fit_window(&mut merged, &config);
     }
@@ -582,11 +584,6 @@ fn see_further(merged: &mut Merged, config: &Config) {
     let is_given = merged.places().contains_key("resolution.smoothing_length");
     if !is_given && Shape::rough_turn(config).is_some() {
         merged.set("resolution.smoothing_length", Value::from(ROUGH_SMOOTHING_LENGTH), "a rough wall");
-        // The kernel then reaches over a third row of dummy particles.
-        let is_default = merged.places().get("channel.wall_rows").is_none_or(|place| place.starts_with("default of"));
-        if config.channel.wall_rows < 3 && is_default {
-            merged.set("channel.wall_rows", Value::from(3), "a rough wall");
-        }
     }
 }
 

@@ -55,6 +55,19 @@ impl<R: Real> Fixed<R> {
         f.narrow(0, REACH, self.channel.rows)
     }
 
+    /// Velocity, pressure and temperature of the fluid of a state, `[rows, columns]` each.
+    fn fluid_fields(&self, state: &Tensor) -> Result<[Tensor; 4]> {
+        let (rows, columns) = (self.channel.rows, self.channel.columns);
+        let field = |row: usize| state.narrow(0, row, 1)?.narrow(1, 0, rows * columns)?.reshape((rows, columns));
+        Ok([field(row::U)?, field(row::V)?, field(row::P)?, field(row::T)?])
+    }
+
+    /// 1 in the columns for which a condition holds, else 0, `[1, columns]`.
+    fn where_columns(&self, holds: impl Fn(usize) -> bool, like: &Tensor) -> Result<Tensor> {
+        let mask: Vec<R> = (0..self.channel.columns).map(|k| R::of(f64::from(u8::from(holds(k))))).collect();
+        Tensor::from_vec(mask, (1, self.channel.columns), like.device())?.to_dtype(like.dtype())
+    }
+
     /// The sum over offsets of `term`, given their indices and a function from a field with ghosts to the neighbours.
     fn sum(
         &self,
@@ -144,9 +157,7 @@ impl<R: Real> Fixed<R> {
     /// the heat that flows out.)
     pub fn heating(&self, state: &Tensor, until: f64) -> Result<Tensor> {
         let c = &self.channel;
-        let (nx, ny, fluid) = (c.columns, c.rows, self.fluid_particles());
-        let field = |row: usize| state.narrow(0, row, 1)?.narrow(1, 0, fluid)?.reshape((ny, nx));
-        let [u, v, p, t] = [field(row::U)?, field(row::V)?, field(row::P)?, field(row::T)?];
+        let [u, v, p, t] = self.fluid_fields(state)?;
         let metric = self.composed_metric(state)?;
         let (d, s) = (self.inner(&metric.d)?, self.inner(&metric.s)?);
         let rho = p.affine(1.0 / (c.density * c.sound_speed * c.sound_speed), 1.0)?;
@@ -162,8 +173,7 @@ impl<R: Real> Fixed<R> {
             conducted.affine(c.diffusivity, 0.0)? - carried
         })?;
         let conducts = |i: usize| self.open[i].f64() > 0.0 && i <= self.outlet && c.x(i) < until;
-        let here: Vec<R> = (0..nx).map(|i| R::of(conducts(i) as u8 as f64)).collect();
-        let here = Tensor::from_vec(here, (1, nx), state.device())?.to_dtype(state.dtype())?;
+        let here = self.where_columns(conducts, state)?;
         heat.broadcast_mul(&here)?.sum_all()?.affine(c.density * c.spacing * c.spacing, 0.0)
     }
 
@@ -173,9 +183,7 @@ impl<R: Real> Fixed<R> {
     /// not: it differs from these means by second derivatives across the channel, 0.9 % of the heat at ten rows.)
     pub fn carried(&self, state: &Tensor, x: f64) -> Result<Tensor> {
         let c = &self.channel;
-        let (nx, ny, fluid) = (c.columns, c.rows, self.fluid_particles());
-        let field = |row: usize| state.narrow(0, row, 1)?.narrow(1, 0, fluid)?.reshape((ny, nx));
-        let [u, v, p, t] = [field(row::U)?, field(row::V)?, field(row::P)?, field(row::T)?];
+        let [u, v, p, t] = self.fluid_fields(state)?;
         let metric = self.composed_metric(state)?;
         let (d, s) = (self.inner(&metric.d)?, self.inner(&metric.s)?);
         let rho = p.affine(1.0 / (c.density * c.sound_speed * c.sound_speed), 1.0)?;
@@ -187,8 +195,7 @@ impl<R: Real> Fixed<R> {
         let heat = self.sum(|i, j, there| {
             let ahead = i as isize - REACH as isize;
             let crosses = |k: usize| (k as isize) < behind && k as isize + ahead >= behind;
-            let crossing: Vec<R> = (0..nx).map(|k| R::of(f64::from(u8::from(crosses(k))))).collect();
-            let crossing = Tensor::from_vec(crossing, (1, nx), state.device())?.to_dtype(state.dtype())?;
+            let crossing = self.where_columns(crosses, state)?;
             let w = &self.stencil[j][i];
             let both = |f: &Tensor, weight: R| (self.inner(f)? + there(f)?)?.affine(0.5 * weight.f64(), 0.0);
             let carried = (both(&mx, w.cx)? + both(&my, w.cy)?)?.mul(&(there(&padded)? + &t)?)?;
@@ -201,8 +208,7 @@ impl<R: Real> Fixed<R> {
     pub fn composed(&self, state: &Tensor) -> Result<Tensor> {
         let c = &self.channel;
         let (nx, ny, n, fluid) = (c.columns, c.rows, self.particles(), self.fluid_particles());
-        let field = |row: usize| state.narrow(0, row, 1)?.narrow(1, 0, fluid)?.reshape((ny, nx));
-        let [u, v, p, t] = [field(row::U)?, field(row::V)?, field(row::P)?, field(row::T)?];
+        let [u, v, p, t] = self.fluid_fields(state)?;
         let metric = self.composed_metric(state)?;
         let stiffness = c.density * c.sound_speed * c.sound_speed;
         let rho = p.affine(1.0 / stiffness, 1.0)?;

@@ -53,6 +53,17 @@ impl<R: Real> FixedParticles<R> {
     fn tensor(&self, state: &[R]) -> candle_core::Result<Tensor> {
         Tensor::from_slice(state, (row::COUNT, self.flow.particles()), &Device::Cpu)
     }
+
+    /// A figure of a state that is composed of tensor operators.
+    fn number(
+        &self,
+        place: &Place<'_, R>,
+        state: &[R],
+        of: impl Fn(&Fixed<R>, &Tensor) -> candle_core::Result<Tensor>,
+    ) -> Result<f64, RunError> {
+        let figure = self.tensor(state).and_then(|state| of(&self.lattice, &state));
+        figure.and_then(|figure| figure.to_dtype(DType::F64)?.to_scalar()).map_err(RunError::tensor(place.step))
+    }
 }
 
 impl<R: Real> Method<R> for FixedParticles<R> {
@@ -142,15 +153,11 @@ impl<R: Real> Worker<R> for Run<R> {
         Ok(())
     }
     fn wall_heat(&self, place: &Place<'_, R>, state: &[R], until: f64) -> Result<f64, RunError> {
-        let heating = self.model.tensor(state).and_then(|state| self.model.lattice.heating(&state, until));
-        let heating = heating.and_then(|heat| heat.to_dtype(DType::F64)?.to_scalar::<f64>());
-        heating.map_err(RunError::tensor(place.step))
+        self.model.number(place, state, |lattice, state| lattice.heating(state, until))
     }
     fn carried_heat(&self, place: &Place<'_, R>, state: &[R]) -> Result<Option<f64>, RunError> {
-        let Some(x) = self.model.flow.section else { return Ok(None) };
-        let carried = self.model.tensor(state).and_then(|state| self.model.lattice.carried(&state, x));
-        let carried = carried.and_then(|heat| heat.to_dtype(DType::F64)?.to_scalar::<f64>());
-        carried.map(Some).map_err(RunError::tensor(place.step))
+        let section = self.model.flow.section;
+        section.map(|x| self.model.number(place, state, |lattice, state| lattice.carried(state, x))).transpose()
     }
     fn drive(&self) -> Option<f64> {
         self.drive
