@@ -65,6 +65,7 @@ mod scene;
 mod schedule;
 mod slurm;
 mod space;
+mod space_in_time;
 mod streamlines;
 mod stress;
 mod study;

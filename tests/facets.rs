@@ -222,7 +222,7 @@ fn places_depend_on_numbers_as_differences_say() {
 struct AtRest;
 
 impl Surroundings for AtRest {
-    fn condition(&self, point: &BoundaryPoint, _: [f64; 3], _: &[Vec<f64>]) -> (Motion, Warmth) {
+    fn condition(&self, point: &BoundaryPoint, _: [f64; 3], _: f64, _: &[Vec<f64>]) -> (Motion, Warmth) {
         (Motion::Given([0.0; 3]), Warmth::Given(if point.on.is_some() { 1.0 } else { 0.0 }))
     }
     fn varies(&self, _: usize) -> bool {
@@ -231,9 +231,9 @@ impl Surroundings for AtRest {
 }
 
 fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64) -> SteadyFlow {
-    let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], velocity };
+    let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], buoyancy: None, velocity };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    SteadyFlow::new(cloud, None, &[], 2).expect("a flow")
+    SteadyFlow::new(cloud, None, &[], true, 2).expect("a flow")
 }
 
 /// The drag of a cubic array of spheres, whose surface is that of triangles: Zick and Homsy's, as with the surface by formula.

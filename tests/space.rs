@@ -21,7 +21,7 @@ use std::sync::Arc;
 struct AtRest;
 
 impl Surroundings for AtRest {
-    fn condition(&self, point: &BoundaryPoint, _: [f64; 3], _: &[Vec<f64>]) -> (Motion, Warmth) {
+    fn condition(&self, point: &BoundaryPoint, _: [f64; 3], _: f64, _: &[Vec<f64>]) -> (Motion, Warmth) {
         (Motion::Given([0.0; 3]), Warmth::Given(if point.on.is_some() { 1.0 } else { 0.0 }))
     }
     fn varies(&self, _: usize) -> bool {
@@ -35,9 +35,9 @@ fn ball(centre: [f64; 3], radius: f64) -> Surface {
 }
 
 fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64) -> SteadyFlow {
-    let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], velocity };
+    let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], buoyancy: None, velocity };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    SteadyFlow::new(cloud, None, &[], 2).expect("a flow")
+    SteadyFlow::new(cloud, None, &[], true, 2).expect("a flow")
 }
 
 /// A cloud of points without order: every third near a shape, every seventh on a boundary.
@@ -154,9 +154,9 @@ fn the_same_flows_through_all_planes_of_an_array_of_spheres() {
     let plane = |x: f64| (0..count * count).map(move |k| [x, middle(k / count), middle(k % count)]);
     let in_fluid = |p: &[f64; 3]| region.distance([0.5; 3], *p) > radius;
     let planes: Vec<Vec<[f64; 3]>> = [0.0, 0.25, 0.5].map(|x| plane(x).filter(in_fluid).collect()).to_vec();
-    let fluid = Fluid { viscosity: 100.0, diffusivity: None, force: [1.0, 0.0, 0.0], velocity: 1e-3 };
+    let fluid = Fluid { viscosity: 100.0, diffusivity: None, force: [1.0, 0.0, 0.0], buoyancy: None, velocity: 1e-3 };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    let mut flow = SteadyFlow::new(cloud, None, &planes.concat(), 2).expect("a flow");
+    let mut flow = SteadyFlow::new(cloud, None, &planes.concat(), true, 2).expect("a flow");
     let solution = flow.solve(&flow.cloud.numbers()).expect("a solution");
     let at = flow.at(&solution);
     let mut next = 0;
@@ -247,7 +247,6 @@ fn scenes_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("scene.toml");
     let cases = [
-        (format!("method.flow = \"unsteady\"\n{middle}"), "method.flow = unsteady in three dimensions"),
         (format!("{middle}[[limits]]\nkind = \"area\"\nat_most = 1.0\n"), "limits[0].kind = area in three dimensions"),
         (format!("resolution.far = 2.0\n{middle}"), "resolution.far"),
         (ball("[0.5, 0.2]", 0.1), "shapes[0].centre"),

@@ -1,8 +1,6 @@
-//! `simulate`, `scenes check` and `check-gradient` of fixed particles in three dimensions.
+//! `simulate` and `scenes check` of fixed particles in three dimensions, whose flow is steady.
 
-use super::around_shapes::{
-    imbalances, of_objective, print_figures, print_particles, suggest_search, Checked, Figures,
-};
+use super::around_shapes::{imbalances, print_figures, print_particles, suggest_search, Figures};
 use super::files;
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
@@ -12,7 +10,7 @@ use crate::numerics::interrupt;
 use crate::numerics::threads::{count, in_words};
 use crate::report::memory::peak_memory_bytes;
 use crate::scene::around_bodies::AroundBodies;
-use crate::scene::around_flow::Designed;
+use crate::scene::around_flow::Around;
 use crate::scene::around_shapes::finer;
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
@@ -95,7 +93,13 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     let _own = RunFolder::take(folder, "scenes check", Earlier::Replaced)?;
     let places = &around.flow.cloud.places;
     let least = print_particles(loaded, &places.spacing, places.inside);
-    println!("method              fixed: a steady flow, no steps in time");
+    match config.unsteady() {
+        None => println!("method              fixed: a steady flow, no steps in time"),
+        Some(_) => println!(
+            "method              fixed: a flow in time to t = {}, whose steps are chosen on the way",
+            config.time.end
+        ),
+    }
     println!("run time            {placed:.2} s to place the particles; the flow is not solved here");
     println!("memory              {:.0} MB at the peak", peak_memory_bytes() as f64 / 1e6);
     machine::answer(&json!({
@@ -113,25 +117,5 @@ pub fn check(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Largest relative difference of gradient and differences: what the iterations leave.
-const TOLERANCE: f64 = 1e-5;
-
-/// `hydrograd check-gradient`: value and gradient of the steady objective by every variable, and differences beside it.
-pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
-    let clock = Instant::now();
-    let mut around = AroundBodies::new(&loaded.config)?;
-    let first = around.first();
-    let solution = around.solve(&first)?;
-    let solve_seconds = clock.elapsed().as_secs_f64();
-    let objective = around.judged(&solution)?;
-    let checked = Checked {
-        objective,
-        particles: around.flow.cloud.particles(),
-        surface: around.flow.cloud.ground.surface,
-        solve_seconds,
-        gradient_seconds: clock.elapsed().as_secs_f64() - solve_seconds,
-        what: of_objective(&loaded.config),
-        tolerance: TOLERANCE,
-    };
-    checked.compare(loaded, folder, &first, &mut |moved| around.value(moved, &mut |_| ()))
-}
+/// Largest relative difference of a steady flow's gradient and differences: what the iterations leave.
+pub const TOLERANCE: f64 = 1e-5;

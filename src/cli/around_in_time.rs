@@ -1,6 +1,6 @@
-//! `simulate` of fixed particles around shapes whose flow goes on in time.
+//! `simulate` of fixed particles around shapes whose flow goes on in time, in two or three dimensions.
 
-use super::around_shapes::{fastest, of_objective, suggest_search};
+use super::around_shapes::{of_objective, suggest_search};
 use super::files;
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
@@ -13,8 +13,10 @@ use crate::io::FileError;
 use crate::numerics::threads::{count, in_words};
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::around_in_time::{Course, History, Moment};
+use crate::scene::around_bodies::AroundBodies;
+use crate::scene::around_flow::Around;
 use crate::scene::around_shapes::AroundShapes;
+use crate::scene::history::{Course, History, Moment};
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::periods::Window;
@@ -22,6 +24,7 @@ use crate::scene::record::Record;
 use crate::scene::warnings::Warning;
 use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::problem::Solution;
+use crate::sph::cloud::space;
 use serde_json::{json, Value};
 use std::path::Path;
 use std::time::Instant;
@@ -36,27 +39,73 @@ fn course_json(figure: &str, course: &Course) -> Value {
 /// Lengths and means of periods in a window may differ by this share before there is a warning.
 const PERIODIC: f64 = 0.01;
 
+/// A flow around shapes that can be drawn.
+pub trait Drawn: Around {
+    /// Draws flows, each with a label, side by side. Returns whether a picture of the temperature was drawn.
+    ///
+    /// # Errors
+    /// Files that cannot be written.
+    fn draw(&self, folder: &Path, panels: &[(&str, &Self::Solution)]) -> anyhow::Result<bool>;
+    /// Writes a flow on `output.grid`, if there is one.
+    ///
+    /// # Errors
+    /// Files that cannot be written.
+    fn write_on_grid(&self, folder: &Path, solution: &Self::Solution, time: f64) -> anyhow::Result<()>;
+    /// The pictures that are always drawn.
+    const PICTURES: &'static str;
+}
+
+impl Drawn for AroundShapes {
+    fn draw(&self, folder: &Path, panels: &[(&str, &Solution)]) -> anyhow::Result<bool> {
+        let maps: Vec<_> = panels.iter().map(|(label, solution)| (*label, self.map(solution))).collect();
+        let maps: Vec<_> = maps.iter().map(|(label, map)| (*label, map)).collect();
+        Ok(files::plot_maps(folder, &maps, true)?)
+    }
+
+    fn write_on_grid(&self, folder: &Path, solution: &Solution, time: f64) -> anyhow::Result<()> {
+        self.write_grid(folder, solution, time)?;
+        Ok(())
+    }
+
+    const PICTURES: &'static str = "flow.png, vorticity.png";
+}
+
+impl Drawn for AroundBodies {
+    fn draw(&self, folder: &Path, panels: &[(&str, &space::problem::Solution)]) -> anyhow::Result<bool> {
+        let fields: Vec<_> = panels.iter().map(|(label, solution)| (*label, self.fields(solution))).collect();
+        let fields: Vec<_> = fields.iter().map(|(label, fields)| (*label, fields)).collect();
+        Ok(files::plot_flow_and_heat(folder, &fields, self.config().resolution.dx)?)
+    }
+
+    // `output.grid` is refused in three dimensions.
+    fn write_on_grid(&self, _: &Path, _: &space::problem::Solution, _: f64) -> anyhow::Result<()> {
+        Ok(())
+    }
+
+    const PICTURES: &'static str = "flow.png";
+}
+
 /// A flow in time, and the part of it that figures are averaged over.
-pub struct Run {
+pub struct Run<S> {
     history: History,
-    pub last: Solution,
+    pub last: S,
     window: Window,
     warnings: Vec<Warning>,
     fastest: f64,
     seconds: f64,
 }
 
-impl Run {
+impl<S> Run<S> {
     /// `watch` gets every moment with its flow.
     ///
     /// # Errors
-    /// Those of [`AroundShapes::march`].
-    pub fn take(around: &AroundShapes, watch: &mut dyn FnMut(&Moment, &Solution)) -> Result<Self, Error> {
+    /// Those of [`Around::march`].
+    pub fn take(around: &impl Around<Solution = S>, watch: &mut dyn FnMut(&Moment, &S)) -> Result<Self, Error> {
         let (clock, first) = (Instant::now(), around.first());
         let mut speed: f64 = 0.0;
         let (history, last) = around.march(&first, None, &mut |moment, solution| {
             watch(moment, solution);
-            speed = speed.max(fastest(solution));
+            speed = speed.max(around.fastest(solution));
             Ok(())
         })?;
         let seconds = clock.elapsed().as_secs_f64();
@@ -88,7 +137,7 @@ impl Run {
     }
 
     /// The fields at the end.
-    pub fn fields(&self, around: &AroundShapes) -> ParticleFields {
+    pub fn fields(&self, around: &impl Around<Solution = S>) -> ParticleFields {
         ParticleFields { time: around.config().time.end, step: self.history.sizes.len(), ..around.fields(&self.last) }
     }
 
@@ -114,9 +163,8 @@ impl Run {
 }
 
 /// `hydrograd simulate`: the flow to `time.end`, its figures over time, and frames for ParaView.
-pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
+pub fn simulate<A: Drawn>(loaded: &Loaded, around: &A, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
     let config = &loaded.config;
-    let around = AroundShapes::new(config)?;
     let own = RunFolder::take(folder, "simulate", earlier)?;
     files::write_config(folder, loaded)?;
     let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
@@ -125,7 +173,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     // Frames are written after the run, whose errors are of another kind.
     let mut kept = vec![];
     let mut next = 1;
-    let run = Run::take(&around, &mut |moment, solution| {
+    let run = Run::take(around, &mut |moment, solution| {
         bar.set_position((TICKS * moment.time / end) as u64);
         if frames > 0 && moment.time >= end * next as f64 / frames as f64 * (1.0 - 1e-12) {
             kept.push(ParticleFields { time: moment.time, ..around.fields(solution) });
@@ -136,18 +184,18 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     for fields in &kept {
         fields.with_frame(|frame| series.write(frame))?;
     }
-    let fields = run.fields(&around);
+    let fields = run.fields(around);
     fields.write(folder, config, &loaded.text)?;
-    let heat = files::plot_maps(folder, &[(&format!("t = {end}"), &around.map(&run.last))], true)?;
+    let heat = around.draw(folder, &[(&format!("t = {end}"), &run.last)])?;
     let Run { ref history, seconds, fastest, .. } = run;
     write_history(folder, history)?;
-    let record = record(loaded, &around, &run, seconds);
+    let record = record(loaded, around, &run, seconds);
     files::write_summary(folder, &record)?;
-    around.write_grid(folder, &run.last, end)?;
+    around.write_on_grid(folder, &run.last, end)?;
     let (least, most) = history.sizes.iter().fold((f64::MAX, 0.0f64), |(a, b), x| (a.min(*x), b.max(*x)));
     println!(
         "{} fixed particles, {} steps of {least:.2e} to {most:.2e} in {seconds:.2} s on {} ({:.2} ms a step)",
-        around.flow.cloud.particles(),
+        around.particles(),
         history.sizes.len(),
         in_words(count()),
         1e3 * seconds / history.sizes.len() as f64
@@ -155,8 +203,9 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     run.print(config, around.has_objective());
     print_dimensionless(config, fastest);
     println!(
-        "files in {}: report.html, summary.json, history.csv, flow.png, vorticity.png{}, state.h5, particles/particles.pvd (ParaView)",
+        "files in {}: report.html, summary.json, history.csv, {}{}, state.h5, particles/particles.pvd (ParaView)",
         folder.display(),
+        A::PICTURES,
         if heat { ", temperature.png" } else { "" }
     );
     suggest_search(loaded);
@@ -195,10 +244,10 @@ fn print_courses(history: &History, window: &Window) {
 }
 
 /// The summary of a flow in time: means over the window, and the course of each figure there.
-pub fn record(loaded: &Loaded, around: &AroundShapes, run: &Run, seconds: f64) -> Record {
+pub fn record<S>(loaded: &Loaded, around: &impl Around<Solution = S>, run: &Run<S>, seconds: f64) -> Record {
     let Run { history, window, .. } = run;
     let mut record = Record::of_steady(loaded, run.fastest, seconds);
-    record.put("particles", around.flow.cloud.particles());
+    record.put("particles", around.particles());
     record.put("steps", history.sizes.len());
     record.put("factorisations", history.factorisations);
     record.put("window_begins", window.from);
@@ -214,7 +263,7 @@ pub fn record(loaded: &Loaded, around: &AroundShapes, run: &Run, seconds: f64) -
         match *figure {
             Figure::Force { shape, along } => {
                 if along == 0 {
-                    shapes[shape]["force"] = json!([course.mean, 0.0]);
+                    shapes[shape]["force"] = json!(vec![course.mean; loaded.config.dimension()]);
                 }
                 shapes[shape]["force"][along] = json!(course.mean);
             }

@@ -16,6 +16,7 @@ use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
 use crate::scene::around_bodies::AroundBodies;
+use crate::scene::around_flow::Around;
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::field_map::FieldMap;
 use crate::scene::load::Loaded;
@@ -81,7 +82,15 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     let mut fields: Vec<ParticleFields> = vec![];
     let mut records: Vec<Record> = vec![];
     for (at, frames) in [(loaded, BEFORE), (&with_best, AFTER)] {
-        let end = if config.is_around_bodies() {
+        let end = if config.is_around_bodies() && config.unsteady().is_some() {
+            let around = AroundBodies::new(&at.config)?;
+            let run = Run::take(&around, &mut |_, _| ())?;
+            records.push(around_in_time::record(at, &around, &run, seconds));
+            if frames == AFTER {
+                run.print(config, true);
+            }
+            run.fields(&around)
+        } else if config.is_around_bodies() {
             let mut around = AroundBodies::new(&at.config)?;
             let solution = around.solve(&around.first())?;
             let figures = around.summary(&solution);

@@ -14,7 +14,7 @@ use crate::numerics::threads::{count, in_words};
 use crate::report::memory::peak_memory_bytes;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::around_flow::Flowed;
+use crate::scene::around_flow::{Around, Flowed};
 use crate::scene::around_shapes::{finer, AroundShapes, Judged};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
@@ -37,12 +37,6 @@ const NARROW: f64 = 4.0;
 /// Numbers of a solution that a table shows.
 fn number(figures: &Figures, name: &str) -> Option<f64> {
     figures.iter().find(|(other, _)| *other == name).and_then(|(_, value)| value.as_f64())
-}
-
-/// The fastest particle.
-pub fn fastest(solution: &Solution) -> f64 {
-    let [u, v, ..] = &solution.state.fields;
-    u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f64::max)
 }
 
 /// Figures by name, see [`AroundShapes::summary`].
@@ -80,7 +74,7 @@ fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) ->
     let area = around.flow.measures.area(&around.flow.at(solution));
     // What goes round in a cavity counts as well.
     let narrowest = around.config().region.size.iter().fold(f64::MAX, |a, &b| a.min(b));
-    let through = number(figures, "flow_rate").unwrap_or(0.0).abs().max(0.02 * fastest(solution) * narrowest);
+    let through = number(figures, "flow_rate").unwrap_or(0.0).abs().max(0.02 * around.fastest(solution) * narrowest);
     let rest = (solution.state.lambda * area / through).abs();
     if rest > REST {
         found.push(Warning::new(
@@ -183,7 +177,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
         in_words(count())
     );
     print_figures(config, &figures);
-    print_dimensionless(config, fastest(&solution));
+    print_dimensionless(config, around.fastest(&solution));
     println!(
         "files in {}: report.html, summary.json, flow.png{}, state.h5, particles/particles.pvd (ParaView)",
         folder.display(),
@@ -297,7 +291,8 @@ fn put_growth(
     around: &mut AroundShapes,
     solution: &Solution,
 ) -> Result<(), Error> {
-    let Some((growth, frequency)) = around.growth(solution, fastest(solution))? else { return Ok(()) };
+    let fastest = around.fastest(solution);
+    let Some((growth, frequency)) = around.growth(solution, fastest)? else { return Ok(()) };
     record.put("growth_rate", growth);
     record.put("growth_frequency", frequency / (2.0 * PI));
     if growth > 0.0 {
@@ -316,7 +311,7 @@ fn put_growth(
 
 /// The summary of a steady flow.
 pub fn record(loaded: &Loaded, around: &AroundShapes, solution: &Solution, figures: &Figures, seconds: f64) -> Record {
-    let mut record = Record::of_steady(loaded, fastest(solution), seconds);
+    let mut record = Record::of_steady(loaded, around.fastest(solution), seconds);
     for (name, value) in figures {
         record.put(name, value);
     }
@@ -325,7 +320,7 @@ pub fn record(loaded: &Loaded, around: &AroundShapes, solution: &Solution, figur
 }
 
 /// Largest relative difference of gradient and differences.
-const TOLERANCE: f64 = 1e-6;
+pub const TOLERANCE: f64 = 1e-6;
 /// Steps of differences: in spacings of the surface, and in degrees.
 const STEP: f64 = 0.04;
 const DEGREES: f64 = 0.05;
@@ -340,8 +335,6 @@ pub struct Checked {
     pub surface: f64,
     pub solve_seconds: f64,
     pub gradient_seconds: f64,
-    /// What the objective is, in words.
-    pub what: &'static str,
     /// Largest difference, in the gradient's length.
     pub tolerance: f64,
 }
@@ -356,7 +349,7 @@ impl Checked {
         value: &mut dyn FnMut(&[f64]) -> Result<f64, Error>,
     ) -> anyhow::Result<()> {
         let config = &loaded.config;
-        let Self { objective, particles, surface, solve_seconds, gradient_seconds, what, tolerance } = self;
+        let Self { objective, particles, surface, solve_seconds, gradient_seconds, tolerance } = self;
         let Judged { value: found, by_variables: gradient } = objective;
         let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
         let bar = Progress::new(first.len() as u64, "check-gradient");
@@ -420,8 +413,9 @@ impl Checked {
         write_json(&folder.join("gradient_check.json"), &report)?;
         page::write(folder)?;
         println!(
-            "{particles} fixed particles, {} variables, {what} {found:.9}, |gradient| = {norm:.4e}; flow in {solve_seconds:.2} s, gradient in {gradient_seconds:.2} s",
-            first.len()
+            "{particles} fixed particles, {} variables, {} {found:.9}, |gradient| = {norm:.4e}; flow in {solve_seconds:.2} s, gradient in {gradient_seconds:.2} s",
+            first.len(),
+            of_objective(config)
         );
         println!("{}", table.to_text());
         println!("files in {}: gradient_check.json, report.html", folder.display());
@@ -436,27 +430,26 @@ impl Checked {
     }
 }
 
-/// `hydrograd check-gradient`: value and gradient of the objective by every variable, and differences beside it.
-pub fn check_gradient(loaded: &Loaded, folder: &Path) -> anyhow::Result<()> {
+/// `hydrograd check-gradient`: value and gradient of the objective by every variable, and differences beside it. `steady`: the tolerance
+/// of a steady flow.
+pub fn check_gradient(loaded: &Loaded, around: &mut impl Around, steady: f64, folder: &Path) -> anyhow::Result<()> {
     let clock = Instant::now();
-    let mut around = AroundShapes::new(&loaded.config)?;
     let first = around.first();
     let flow = around.flow(&first, None, &mut |_| ())?;
     let solve_seconds = clock.elapsed().as_secs_f64();
     let objective = around.judged(&flow, &first)?;
     // Steps of a flow in time are chosen once, for all that it is compared with.
-    let sizes = match flow {
-        Flowed::Steady(_) => None,
-        Flowed::InTime(history) => Some(history.sizes),
+    let (sizes, tolerance) = match flow {
+        Flowed::Steady(_) => (None, steady),
+        Flowed::InTime(history) => (Some(history.sizes), TOLERANCE),
     };
     let checked = Checked {
         objective,
-        particles: around.flow.cloud.particles(),
-        surface: around.flow.cloud.ground.surface,
+        particles: around.particles(),
+        surface: around.surface(),
         solve_seconds,
         gradient_seconds: clock.elapsed().as_secs_f64() - solve_seconds,
-        what: "objective",
-        tolerance: TOLERANCE,
+        tolerance,
     };
     checked.compare(loaded, folder, &first, &mut |moved| {
         let flow = around.flow(moved, sizes.as_deref(), &mut |_| ())?;

@@ -16,6 +16,8 @@ use crate::numerics::random::{stream, uniform};
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
+use crate::scene::around_bodies::AroundBodies;
+use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::sph::Sweeps;
 use clap::Args;
@@ -87,13 +89,15 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     open_device(&loaded)?;
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     if loaded.config.is_around_bodies() {
-        return around_bodies::check_gradient(&loaded, &folder);
+        let mut around = AroundBodies::new(&loaded.config)?;
+        return around_shapes::check_gradient(&loaded, &mut around, around_bodies::TOLERANCE, &folder);
     }
     if loaded.config.is_periodic_box() {
         return periodic_box::check_gradient(&loaded, &folder, arguments.directions);
     }
     if loaded.config.is_around_shapes() {
-        return around_shapes::check_gradient(&loaded, &folder);
+        let mut around = AroundShapes::new(&loaded.config)?;
+        return around_shapes::check_gradient(&loaded, &mut around, around_shapes::TOLERANCE, &folder);
     }
     // The adjoint is checked, whatever gradient an optimiser uses.
     let mut config = loaded.config.clone();

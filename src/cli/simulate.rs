@@ -19,6 +19,8 @@ use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::numerics::threads::{count, in_words};
 use crate::report::progress::Progress;
+use crate::scene::around_bodies::AroundBodies;
+use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
 use crate::scene::particle_fields::ParticleFields;
@@ -134,7 +136,11 @@ fn simulate(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usi
             if loaded.config.is_periodic_box() {
                 return periodic_box::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
             }
-            return around_in_time::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
+            let earlier = earlier(folder, resume, Earlier::Replaced);
+            return match loaded.config.is_around_bodies() {
+                true => around_in_time::simulate(loaded, &AroundBodies::new(&loaded.config)?, folder, earlier),
+                false => around_in_time::simulate(loaded, &AroundShapes::new(&loaded.config)?, folder, earlier),
+            };
         }
         // It is found anew in a moment.
         if loaded.config.is_around_bodies() {

@@ -33,7 +33,7 @@ section! {
         goal: Goal = Goal::Larger;
         /// Where a probe is: pressure, temperature or velocity at a point.
         #[serde(skip_serializing_if = "Option::is_none")]
-        at: Option<[f64; 2]> = None;
+        at: Option<Vec<f64>> = None;
         /// A weighted sum instead of `kind`.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         terms: Vec<Term> = vec![];
@@ -45,13 +45,13 @@ section! {
 pub struct Asked {
     pub kind: ObjectiveKind,
     pub shapes: Vec<usize>,
-    pub at: Option<[f64; 2]>,
+    pub at: Option<Vec<f64>>,
 }
 
 impl Objective {
     /// The figure of an objective without terms.
     pub fn asked(&self) -> Asked {
-        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at }
+        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at.clone() }
     }
 }
 
@@ -86,7 +86,7 @@ pub struct Term {
     pub kind: ObjectiveKind,
     pub shapes: Vec<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub at: Option<[f64; 2]>,
+    pub at: Option<Vec<f64>>,
     pub weight: f64,
 }
 
@@ -98,7 +98,7 @@ impl Default for Term {
 
 impl Term {
     pub fn asked(&self) -> Asked {
-        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at }
+        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at.clone() }
     }
 }
 
@@ -109,7 +109,7 @@ pub struct LimitEntry {
     pub kind: ObjectiveKind,
     pub shapes: Vec<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub at: Option<[f64; 2]>,
+    pub at: Option<Vec<f64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_least: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -124,7 +124,7 @@ impl Default for LimitEntry {
 
 impl LimitEntry {
     pub fn asked(&self) -> Asked {
-        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at }
+        Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at.clone() }
     }
 }
 
@@ -142,7 +142,7 @@ pub enum ObjectiveKind {
     Drag,
     Lift,
     LiftOverDrag,
-    /// Torque of the fluid on shapes about their centres.
+    /// Torque of the fluid on shapes about their centres, around z.
     Torque,
     /// Heat that leaves shapes.
     ShapeHeat,
@@ -153,6 +153,7 @@ pub enum ObjectiveKind {
     Temperature,
     VelocityX,
     VelocityY,
+    VelocityZ,
     /// Area of shapes, and the smallest distance between them or to walls; for limits.
     Area,
     Distance,
@@ -173,7 +174,7 @@ impl ObjectiveKind {
 
     /// Whether it is a field at a point.
     pub fn is_probe(self) -> bool {
-        matches!(self, Self::Pressure | Self::Temperature | Self::VelocityX | Self::VelocityY)
+        matches!(self, Self::Pressure | Self::Temperature | Self::VelocityX | Self::VelocityY | Self::VelocityZ)
     }
 }
 

@@ -200,8 +200,8 @@ const PARTS: usize = 12;
 const PANEL: usize = 24;
 
 impl Order {
-    /// Orders the nodes of a symmetric structure by their places in the plane.
-    pub fn new(matrix: &BlockMatrix, place: impl Fn(usize) -> [f64; 2]) -> Self {
+    /// Orders the nodes of a symmetric structure by their places in the plane or in space.
+    pub fn new<const D: usize>(matrix: &BlockMatrix, place: impl Fn(usize) -> [f64; D]) -> Self {
         let nodes = matrix.nodes();
         let mut order = Self { fronts: vec![], nodes, stages: vec![] };
         let mut part = vec![0u32; nodes];
@@ -237,10 +237,10 @@ impl Order {
     }
 
     /// Adds the fronts of a set of nodes that only nodes already separated off touch; returns the last one.
-    fn divide(
+    fn divide<const D: usize>(
         &mut self,
         matrix: &BlockMatrix,
-        place: &impl Fn(usize) -> [f64; 2],
+        place: &impl Fn(usize) -> [f64; D],
         mut nodes: Vec<u32>,
         part: &mut [u32],
         mark: &mut u32,
@@ -255,8 +255,8 @@ impl Order {
                     .fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
                 range.1 - range.0
             };
-            let d = if side(0) >= side(1) { 0 } else { 1 };
-            let along = |i: &u32| (place(*i as usize)[d], place(*i as usize)[1 - d]);
+            let longest = (1..D).fold(0, |most, d| if side(d) > side(most) { d } else { most });
+            let along = |i: &u32| -> [f64; D] { std::array::from_fn(|d| place(*i as usize)[(longest + d) % D]) };
             let middle = nodes.len() / 2;
             nodes.select_nth_unstable_by(middle, |a, b| {
                 along(a).partial_cmp(&along(b)).expect("finite places").then(a.cmp(b))

@@ -5,7 +5,8 @@ use super::errors::to_python;
 use super::watch::{watched, Told};
 use crate::error::{BadInput, Error};
 use crate::scene::around_bodies::AroundBodies;
-use crate::scene::around_in_time::{Moment, Of};
+use crate::scene::around_flow::Around;
+use crate::scene::history::{Moment, Of};
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
@@ -58,8 +59,8 @@ fn found(loaded: &Loaded, numbers: Option<Vec<f64>>, gradient: bool) -> Result<F
         let mut around = AroundBodies::new(&loaded.config)?;
         let numbers = chosen(numbers, around.first())?;
         let solution = around.solve(&numbers)?;
-        let objective = around.objective(&solution).0;
-        let gradient = if gradient { Some(around.judged(&solution)?.by_variables) } else { None };
+        let (objective, terms) = around.objective(&solution);
+        let gradient = if gradient { Some(around.gradient(&solution, &terms)?) } else { None };
         let (figures, fields) = (text(around.summary(&solution)), around.fields(&solution));
         return Ok(Found { numbers, objective, gradient, figures, fields, history: vec![] });
     }
@@ -78,7 +79,6 @@ fn found_in_time(
     gradient: bool,
     tell: &dyn Fn(f64),
 ) -> Result<Found, Error> {
-    let end = loaded.config.time.end;
     if loaded.config.unsteady().is_none() {
         return Err(BadInput::at("method.flow", "unsteady() of a scene with a steady flow")
             .allowed("method.flow = \"unsteady\"")
@@ -86,7 +86,19 @@ fn found_in_time(
             .into());
     }
     check(loaded)?;
-    let around = AroundShapes::new(&loaded.config)?;
+    match loaded.config.is_around_bodies() {
+        true => marched(&AroundBodies::new(&loaded.config)?, numbers, gradient, tell),
+        false => marched(&AroundShapes::new(&loaded.config)?, numbers, gradient, tell),
+    }
+}
+
+fn marched(
+    around: &impl Around,
+    numbers: Option<Vec<f64>>,
+    gradient: bool,
+    tell: &dyn Fn(f64),
+) -> Result<Found, Error> {
+    let end = around.config().time.end;
     let numbers = chosen(numbers, around.first())?;
     let (history, last) = around.march(&numbers, None, &mut |moment, _| {
         tell(moment.time / end);

@@ -1,16 +1,15 @@
-//! Custom scenes of fixed particles in three dimensions: the steady flow around the bodies of a configuration, its figures and objective.
+//! Custom scenes of fixed particles in three dimensions: the bodies of a configuration, and what holds on them.
 
-use super::around_shapes::{check_finite, has_objective, held, no_solution, sides, unusable, Judged, Wall};
+use super::around_shapes::{held, not_in_fluid, probes, sides, unusable, Wall};
 use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
 use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, SideKind};
-use crate::config::scene::{Asked, Config, ObjectiveKind};
+use crate::config::scene::Config;
 use crate::error::{BadInput, Error};
 use crate::io::stl;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::Warmth;
-use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::Region;
 use crate::sph::cloud::outline::Outline;
 use crate::sph::cloud::space::equations::{Motion, PRESSURE, TEMPERATURE};
@@ -19,7 +18,7 @@ use crate::sph::cloud::space::particles::{Cloud, Fluid, Surroundings};
 use crate::sph::cloud::space::placing::{BoundaryPoint, Ground};
 use crate::sph::cloud::space::problem::{Solution, SteadyFlow};
 use crate::sph::cloud::space::surface::{across, Form, Surface};
-use serde_json::{json, Value};
+use crate::sph::laws::buoyancy::Buoyancy;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -29,10 +28,12 @@ const SURFACE: f64 = 0.5;
 /// Corners of outlines are rounded to this radius, in spacings of the surface.
 const ROUNDED: f64 = 1.0;
 
-/// The steady flow of a configuration.
+/// The flow of a configuration.
 pub struct AroundBodies {
     pub flow: SteadyFlow,
     config: Config,
+    /// The points of probes.
+    pub(super) probes: Vec<[f64; 3]>,
     /// Shape and number in its surface of each of `variables`.
     pub wanted: Vec<(usize, usize)>,
 }
@@ -48,23 +49,23 @@ struct Conditions {
 }
 
 impl Conditions {
-    fn on(&self, wall: &OnWall, place: [f64; 3], parameters: &[f64]) -> (Motion, Warmth) {
-        let (velocity, warmth) = self.wall.at(wall, place, 0.0, parameters);
+    fn on(&self, wall: &OnWall, place: [f64; 3], time: f64, parameters: &[f64]) -> (Motion, Warmth) {
+        let (velocity, warmth) = self.wall.at(wall, place, time, parameters);
         (Motion::Given(velocity), warmth)
     }
 }
 
 impl Surroundings for Conditions {
-    fn condition(&self, point: &BoundaryPoint, place: [f64; 3], numbers: &[Vec<f64>]) -> (Motion, Warmth) {
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 3], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth) {
         if let Some((shape, _)) = point.on {
-            return self.on(&self.shapes[shape], place, &numbers[shape][self.geometry[shape]..]);
+            return self.on(&self.shapes[shape], place, time, &numbers[shape][self.geometry[shape]..]);
         }
         let adiabatic = Warmth::Flux(0.0);
         let of = |&side: &usize| match &self.sides[side] {
             None => (Motion::Given([0.0; 3]), adiabatic),
             Some((SideKind::Outflow, _)) => (Motion::Outflow(side / 2), adiabatic),
             Some((SideKind::Symmetry, _)) => (Motion::Symmetry(side / 2), adiabatic),
-            Some((_, wall)) => self.on(wall, place, &[]),
+            Some((_, wall)) => self.on(wall, place, time, &[]),
         };
         let all = || point.sides.iter().map(of);
         // On an edge: what is given counts more than what follows, and an inflow or moving wall more than a wall at rest.
@@ -86,6 +87,11 @@ impl Surroundings for Conditions {
 
     fn varies(&self, shape: usize) -> bool {
         self.shapes[shape].varies()
+    }
+
+    fn has_time(&self) -> bool {
+        let sides = self.sides.iter().flatten().map(|(_, wall)| wall);
+        self.shapes.iter().chain(sides).any(OnWall::has_time)
     }
 }
 
@@ -138,7 +144,7 @@ fn with_parameters(entry: &ShapeEntry, form: Form, mut all: Vec<(Part, f64)>) ->
 }
 
 impl AroundBodies {
-    /// The steady flow of a checked configuration, see [`Config::is_around_bodies`].
+    /// The flow of a checked configuration, see [`Config::is_around_bodies`].
     ///
     /// # Errors
     /// Shapes that cannot be resolved.
@@ -168,6 +174,7 @@ impl AroundBodies {
             viscosity: config.kinematic_viscosity(),
             diffusivity: config.initial.temperature.as_ref().map(|_| config.thermal_diffusivity()),
             force: std::array::from_fn(|d| given.acceleration[d]),
+            buoyancy: Buoyancy::new(fluid.expansion, &given.acceleration, config.neutral_temperature()),
             velocity: fluid.reference_velocity,
         };
         let held = held(config);
@@ -184,8 +191,13 @@ impl AroundBodies {
             })?;
             wanted.push(found);
         }
-        let flow = SteadyFlow::new(cloud, held, &[], threads).map_err(|why| unusable(config, &why))?;
-        Ok(Self { flow, config: config.clone(), wanted })
+        let probes = probes(config);
+        // A point on a round wall is inside of it by rounding.
+        if let Some(probe) = probes.iter().find(|probe| cloud.ground.distance(**probe, None) < -0.5 * spacing) {
+            return Err(not_in_fluid(probe).into());
+        }
+        let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads).map_err(|why| unusable(config, &why))?;
+        Ok(Self { flow, config: config.clone(), probes, wanted })
     }
 
     pub fn config(&self) -> &Config {
@@ -198,188 +210,14 @@ impl AroundBodies {
         self.wanted.iter().map(|&(shape, k)| numbers[shape][k]).collect()
     }
 
-    fn numbers(&self, variables: &[f64]) -> Vec<Vec<f64>> {
+    pub(super) fn numbers(&self, variables: &[f64]) -> Vec<Vec<f64>> {
         let mut numbers = self.flow.cloud.numbers();
         self.wanted.iter().zip(variables).for_each(|(&(shape, k), x)| numbers[shape][k] = *x);
         numbers
     }
 
-    /// The steady flow for these variables.
-    ///
-    /// # Errors
-    /// A cloud that folds, and a flow that does not become steady.
-    pub fn solve(&mut self, variables: &[f64]) -> Result<Solution, Error> {
-        let numbers = self.numbers(variables);
-        self.flow.solve(&numbers).map_err(|why| no_solution(&self.config, &why))
-    }
-
-    fn unit(&self, figure: Figure) -> f64 {
-        let fluid = &self.config.fluid;
-        match figure {
-            Figure::FlowRate => 1.0,
-            Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
-            _ => fluid.density,
-        }
-    }
-
-    fn value(&self, solution: &Solution, figure: Figure) -> f64 {
-        self.unit(figure) * self.flow.measures.value(figure, &self.flow.at(solution))
-    }
-
-    /// The figures whose sum a kind of objective is.
-    fn figures(&self, asked: &Asked) -> Vec<Figure> {
-        let all: Vec<usize> = match asked.shapes.as_slice() {
-            [] => (0..self.config.shapes.len()).collect(),
-            given => given.to_vec(),
-        };
-        let each = |of: &dyn Fn(usize) -> Figure| all.iter().map(|&shape| of(shape)).collect();
-        match asked.kind {
-            ObjectiveKind::Drag => each(&|shape| Figure::Force { shape, along: 0 }),
-            ObjectiveKind::Lift => each(&|shape| Figure::Force { shape, along: 1 }),
-            ObjectiveKind::ShapeHeat => each(&|shape| Figure::Heat { shape }),
-            ObjectiveKind::HeatOutflow => vec![Figure::HeatOutflow],
-            ObjectiveKind::PressureDrop => vec![Figure::PressureDrop],
-            _ => vec![Figure::FlowRate],
-        }
-    }
-
-    /// The value of a kind of objective, and figures with the derivative of the value by each.
-    fn terms(&self, solution: &Solution, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
-        let sum = |kind: ObjectiveKind| -> f64 {
-            let asked = Asked { kind, ..asked.clone() };
-            self.figures(&asked).iter().map(|&figure| self.value(solution, figure)).sum()
-        };
-        let part = |kind: ObjectiveKind, weight: f64| -> Vec<(Figure, f64)> {
-            let asked = Asked { kind, ..asked.clone() };
-            self.figures(&asked).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
-        };
-        match asked.kind {
-            ObjectiveKind::LiftOverDrag => {
-                let (lift, drag) = (sum(ObjectiveKind::Lift), sum(ObjectiveKind::Drag));
-                let by = [part(ObjectiveKind::Lift, 1.0 / drag), part(ObjectiveKind::Drag, -lift / (drag * drag))];
-                (lift / drag, by.concat())
-            }
-            kind => (sum(kind), part(kind, 1.0)),
-        }
-    }
-
-    /// The objective's value and terms.
-    pub fn objective(&self, solution: &Solution) -> (f64, Vec<(Figure, f64)>) {
-        let objective = &self.config.objective;
-        if objective.terms.is_empty() {
-            return self.terms(solution, &objective.asked());
-        }
-        let mut all = (0.0, vec![]);
-        for term in &objective.terms {
-            let (value, terms) = self.terms(solution, &term.asked());
-            all.0 += term.weight * value;
-            all.1.extend(terms.into_iter().map(|(figure, weight)| (figure, term.weight * weight)));
-        }
-        all
-    }
-
-    /// The derivative of weighted figures by the variables.
-    ///
-    /// # Errors
-    /// A transposed system that cannot be solved, and a derivative that is not finite.
-    pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
-        let wanted = self.wanted.clone();
-        let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
-        check_finite(&self.config, &found)?;
-        Ok(found)
-    }
-
-    /// The objective of a flow, with its derivative by the variables.
-    ///
-    /// # Errors
-    /// Those of [`Self::gradient`].
-    pub fn judged(&mut self, solution: &Solution) -> Result<Judged, Error> {
-        let (value, terms) = self.objective(solution);
-        Ok(Judged { value, by_variables: self.gradient(solution, &terms)? })
-    }
-
-    /// The quantity of a limit, with its derivative by the variables.
-    ///
-    /// # Errors
-    /// Those of [`Self::gradient`].
-    pub fn judged_limit(&mut self, solution: &Solution, variables: &[f64], limit: usize) -> Result<Judged, Error> {
-        let asked = self.config.limits[limit].asked();
-        if asked.kind != ObjectiveKind::Volume {
-            let (value, terms) = self.terms(solution, &asked);
-            return Ok(Judged { value, by_variables: self.gradient(solution, &terms)? });
-        }
-        let numbers = self.numbers(variables);
-        let chosen =
-            if asked.shapes.is_empty() { (0..self.config.shapes.len()).collect() } else { asked.shapes.clone() };
-        let by_variables = self
-            .wanted
-            .iter()
-            .map(|&(shape, number)| match chosen.contains(&shape) {
-                true => self.flow.cloud.volume_of(shape, &numbers[shape], Some(number)).slope,
-                false => 0.0,
-            })
-            .collect();
-        let value = chosen.iter().map(|&shape| self.flow.cloud.volume_of(shape, &numbers[shape], None).value).sum();
-        Ok(Judged { value, by_variables })
-    }
-
-    /// The figures of a flow by name, for its summary.
-    pub fn summary(&self, solution: &Solution) -> Vec<(&'static str, Value)> {
-        let has_heat = self.config.initial.temperature.is_some();
-        let (at, measures, fluid) = (self.flow.at(solution), &self.flow.measures, &self.config.fluid);
-        let value = |figure: Figure| self.value(solution, figure);
-        let capacity = fluid.density * fluid.heat_capacity;
-        let shapes = (0..self.config.shapes.len()).map(|shape| {
-            let mut record = serde_json::Map::new();
-            let force: Vec<f64> = (0..3).map(|along| value(Figure::Force { shape, along })).collect();
-            let of_surface: Vec<f64> =
-                (0..3).map(|along| fluid.density * measures.surface_force(&at, shape, along)).collect();
-            record.insert("force".into(), json!(force));
-            record.insert("force_by_surface".into(), json!(of_surface));
-            if has_heat {
-                record.insert("heat".into(), json!(value(Figure::Heat { shape })));
-                record.insert("heat_by_surface".into(), json!(capacity * measures.surface_heat(&at, shape)));
-            }
-            Value::Object(record)
-        });
-        let mut all = vec![
-            ("particles", json!(self.flow.cloud.particles())),
-            ("flow_rate", json!(value(Figure::FlowRate))),
-            ("shapes", shapes.collect::<Value>()),
-            ("pressure_drop", json!(value(Figure::PressureDrop))),
-            ("body_force", json!(self.config.region.acceleration[0] + solution.state.drive)),
-            ("volume", json!(solution.shaped.volume)),
-        ];
-        if has_heat {
-            all.push(("heat_outflow", json!(value(Figure::HeatOutflow))));
-        }
-        if has_objective(&self.config) {
-            all.push(("objective_kind", json!(self.config.objective.kind)));
-            all.push(("objective", json!(self.objective(solution).0)));
-        }
-        let counts = self.flow.solver.counts;
-        all.push(("newton_steps", json!(counts.steps)));
-        all.push(("iterations", json!(counts.iterations)));
-        all.push(("volume_rest", json!(solution.state.lambda)));
-        all
-    }
-
-    /// The fastest particle.
-    pub fn fastest(&self, solution: &Solution) -> f64 {
-        let speed = |i: usize| solution.state.velocity(i).iter().map(|u| u * u).sum::<f64>().sqrt();
-        (0..self.flow.cloud.particles()).map(speed).fold(0.0, f64::max)
-    }
-
-    /// What of the flow rate continuity has left over.
-    pub fn rest(&self, solution: &Solution) -> f64 {
-        let rate = self.flow.measures.value(Figure::FlowRate, &self.flow.at(solution)).abs();
-        let [_, width, depth] = self.flow.cloud.ground.region.size;
-        let through = rate.max(0.02 * self.fastest(solution) * width * depth).max(f64::MIN_POSITIVE);
-        (solution.state.lambda * solution.shaped.volume / through).abs()
-    }
-
     /// The particles with their fields, for files and pictures.
-    pub fn fields(&self, solution: &Solution) -> ParticleFields {
+    pub(super) fn particle_fields(&self, solution: &Solution) -> ParticleFields {
         let cloud = &self.flow.cloud;
         let (n, inside, fluid) = (cloud.particles(), cloud.places.inside, &self.config.fluid);
         let (state, position) = (&solution.state.fields, &solution.shaped.position);

@@ -9,7 +9,8 @@ use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::{Motion, Warmth};
-use crate::sph::cloud::figures::{At, Figure};
+use crate::sph::cloud::conditions::Conditions as _;
+use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
@@ -17,13 +18,8 @@ use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use crate::sph::laws::buoyancy::Buoyancy;
-use serde_json::{json, Value};
-use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Flows around bodies are stable below this Reynolds number by the fastest particle. (Vortices begin behind a cylinder at 46 by the
-/// stream far away, which is slower.)
-const STABLE: f64 = 40.0;
 /// Growth of the spacing far from bodies, per distance.
 const GROWTH: f64 = 0.15;
 /// Corners are rounded to this radius, in spacings of the surface.
@@ -34,7 +30,7 @@ pub struct AroundShapes {
     pub flow: SteadyFlow,
     config: Config,
     /// The points of probes.
-    probes: Vec<[f64; 2]>,
+    pub(super) probes: Vec<[f64; 2]>,
     /// Shape and number in its outline of each of `variables`.
     pub wanted: Vec<(usize, usize)>,
 }
@@ -256,23 +252,6 @@ impl AroundShapes {
         &self.config
     }
 
-    /// Checks that the flow is a steady one.
-    ///
-    /// # Errors
-    /// A flow in time.
-    pub fn check_steady(&self) -> Result<(), BadInput> {
-        match self.config.unsteady() {
-            None => Ok(()),
-            Some(_) => {
-                Err(BadInput::at("method.flow", "method.flow = unsteady, and this needs a steady flow".to_string())
-                    .allowed(
-                        "steady; of a flow in time simulate, optimize, verify, and check-gradient for its derivative",
-                    )
-                    .advice("method.flow=steady"))
-            }
-        }
-    }
-
     /// Advice for a spacing that is too coarse.
     pub fn finer_advice(&self) -> String {
         finer(&self.config)
@@ -290,42 +269,10 @@ impl AroundShapes {
         numbers
     }
 
-    /// The steady flow for these variables.
-    ///
-    /// # Errors
-    /// A cloud that folds, and a flow that does not become steady.
-    pub fn solve(&mut self, variables: &[f64]) -> Result<Solution, Error> {
-        self.check_steady()?;
-        let numbers = self.numbers(variables);
-        self.flow.solve(&numbers).map_err(|why| no_solution(&self.config, &why))
-    }
-
-    /// Factors that give figures their units: forces have the density, heat has density and heat capacity.
-    fn unit(&self, figure: Figure) -> f64 {
-        let fluid = &self.config.fluid;
-        match figure {
-            Figure::FlowRate | Figure::Probe { field: 0 | 1 | 3, .. } => 1.0,
-            Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
-            _ => fluid.density,
-        }
-    }
-
-    pub fn value(&self, solution: &Solution, figure: Figure) -> f64 {
-        self.value_at(&self.flow.at(solution), figure)
-    }
-
-    pub fn value_at(&self, at: &At<'_>, figure: Figure) -> f64 {
-        let reference = match figure {
-            Figure::Probe { field: 3, .. } => self.config.fluid.inlet_temperature,
-            _ => 0.0,
-        };
-        reference + self.unit(figure) * self.flow.measures.value(figure, at)
-    }
-
     /// The figures whose sum a kind of objective is.
-    fn figures(&self, asked: &Asked) -> Vec<Figure> {
+    pub(super) fn figures_of(&self, asked: &Asked) -> Vec<Figure> {
         let probe = |field: usize| {
-            let probe = self.probes.iter().position(|place| Some(*place) == asked.at);
+            let probe = self.probes.iter().position(|place| asked.at.as_deref() == Some(place.as_slice()));
             probe.map(|probe| Figure::Probe { field, probe }).into_iter().collect()
         };
         let all: Vec<usize> = match asked.shapes.as_slice() {
@@ -350,66 +297,8 @@ impl AroundShapes {
         }
     }
 
-    fn sum(&self, at: &At<'_>, asked: &Asked) -> f64 {
-        self.figures(asked).iter().map(|&figure| self.value_at(at, figure)).sum()
-    }
-
-    /// The value of a kind of objective and its terms: figures with the derivative of the value by each.
-    pub fn terms(&self, solution: &Solution, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
-        self.terms_at(&self.flow.at(solution), asked)
-    }
-
-    pub fn terms_at(&self, at: &At<'_>, asked: &Asked) -> (f64, Vec<(Figure, f64)>) {
-        let part = |asked: &Asked, weight: f64| -> Vec<(Figure, f64)> {
-            self.figures(asked).into_iter().map(|figure| (figure, weight * self.unit(figure))).collect()
-        };
-        if asked.kind == ObjectiveKind::LiftOverDrag {
-            let [of_lift, of_drag] =
-                [ObjectiveKind::Lift, ObjectiveKind::Drag].map(|kind| Asked { kind, ..asked.clone() });
-            let (lift, drag) = (self.sum(at, &of_lift), self.sum(at, &of_drag));
-            let terms = [part(&of_lift, 1.0 / drag), part(&of_drag, -lift / (drag * drag))].concat();
-            return (lift / drag, terms);
-        }
-        (self.sum(at, asked), part(asked, 1.0))
-    }
-
-    /// The objective's value and terms.
-    pub fn objective(&self, solution: &Solution) -> (f64, Vec<(Figure, f64)>) {
-        self.objective_at(&self.flow.at(solution))
-    }
-
-    pub fn objective_at(&self, at: &At<'_>) -> (f64, Vec<(Figure, f64)>) {
-        let objective = &self.config.objective;
-        if objective.terms.is_empty() {
-            return self.terms_at(at, &objective.asked());
-        }
-        let mut all = (0.0, vec![]);
-        for term in &objective.terms {
-            let (value, terms) = self.terms_at(at, &term.asked());
-            all.0 += term.weight * value;
-            all.1.extend(terms.into_iter().map(|(figure, weight)| (figure, term.weight * weight)));
-        }
-        all
-    }
-
-    /// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
-    pub fn has_objective(&self) -> bool {
-        has_objective(&self.config)
-    }
-
-    /// The derivative of weighted figures by the variables.
-    ///
-    /// # Errors
-    /// A transposed system that cannot be solved, and a derivative that is not finite.
-    pub fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
-        let wanted = self.wanted.clone();
-        let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(&self.config, &why))?;
-        check_finite(&self.config, &found)?;
-        Ok(found)
-    }
-
-    /// Value and derivative of a limit that needs no flow: area or distance; none for other kinds.
-    pub fn of_shapes(&self, kind: ObjectiveKind, shapes: &[usize], variables: &[f64]) -> Option<Judged> {
+    /// Value and derivative of area or distance; none for other kinds.
+    pub(super) fn of_outlines(&self, kind: ObjectiveKind, shapes: &[usize], variables: &[f64]) -> Option<Judged> {
         let numbers = self.numbers(variables);
         let outlines = &self.flow.cloud.ground.outlines;
         let chosen: Vec<usize> =
@@ -468,72 +357,8 @@ impl AroundShapes {
         }
     }
 
-    /// The figures of a flow by name, for its summary.
-    pub fn summary(&self, solution: &Solution) -> Vec<(&'static str, Value)> {
-        let has_heat = self.config.initial.temperature.is_some();
-        let at = self.flow.at(solution);
-        let measures = &self.flow.measures;
-        let value = |figure: Figure| self.value(solution, figure);
-        let fluid = &self.config.fluid;
-        let capacity = fluid.density * fluid.heat_capacity;
-        let shapes = (0..self.config.shapes.len()).map(|shape| {
-            let mut record = serde_json::Map::new();
-            let force: Vec<f64> = (0..2).map(|along| value(Figure::Force { shape, along })).collect();
-            let of_surface: Vec<f64> =
-                (0..2).map(|along| fluid.density * measures.surface_force(&at, shape, along)).collect();
-            record.insert("force".into(), json!(force));
-            record.insert("force_by_surface".into(), json!(of_surface));
-            record.insert("torque".into(), json!(value(Figure::Torque { shape })));
-            if has_heat {
-                record.insert("heat".into(), json!(value(Figure::Heat { shape })));
-                record.insert("heat_by_surface".into(), json!(capacity * measures.surface_heat(&at, shape)));
-                record.insert("largest_heat_flux".into(), json!(capacity * measures.largest_heat_flux(&at, shape)));
-            }
-            Value::Object(record)
-        });
-        let mut all = vec![
-            ("particles", json!(self.flow.cloud.particles())),
-            ("flow_rate", json!(value(Figure::FlowRate))),
-            ("shapes", shapes.collect::<Value>()),
-            ("pressure_drop", json!(value(Figure::PressureDrop))),
-            ("dissipation", json!(value(Figure::Dissipation))),
-            ("body_force", json!(self.config.region.acceleration[0] + solution.state.drive)),
-        ];
-        if has_heat {
-            all.push(("heat_outflow", json!(value(Figure::HeatOutflow))));
-        }
-        if self.has_objective() {
-            all.push(("objective_kind", json!(self.config.objective.kind)));
-            all.push(("objective", json!(self.objective(solution).0)));
-        }
-        let counts = self.flow.solver.counts;
-        all.push(("newton_steps", json!(counts.steps)));
-        all.push(("factorisations", json!(counts.factorisations)));
-        all.push(("volume_rest", json!(solution.state.lambda)));
-        all
-    }
-
-    /// The growth rate and angular frequency of the disturbance that grows fastest, and the Reynolds number by the largest body and the
-    /// fastest particle; none below a Reynolds number at which flows around bodies are known to be stable.
-    ///
-    /// # Errors
-    /// A matrix without factors.
-    pub fn growth(&mut self, solution: &Solution, fastest: f64) -> Result<Option<(f64, f64)>, Error> {
-        let cloud = &self.flow.cloud;
-        let outlines = cloud.places.bodies.iter().map(|&body| &cloud.ground.outlines[body]);
-        let across = outlines
-            .map(|outline| (area(&outline.points(&outline.samples(8), &outline.numbers)).abs() * 4.0 / PI).sqrt());
-        let size = across.fold(0.0, f64::max);
-        if size == 0.0 || fastest * size / self.config.kinematic_viscosity() < STABLE {
-            return Ok(None);
-        }
-        // The angular frequency of vortices behind a cylinder is about this.
-        let rate = 1.2 * fastest / size;
-        self.flow.growth(solution, rate).map_err(|why| no_solution(&self.config, &why))
-    }
-
     /// The particles with their fields, for files and pictures.
-    pub fn fields(&self, solution: &Solution) -> ParticleFields {
+    pub(super) fn particle_fields(&self, solution: &Solution) -> ParticleFields {
         let cloud = &self.flow.cloud;
         let (n, inside, fluid) = (cloud.particles(), cloud.places.inside, &self.config.fluid);
         let state = &solution.state.fields;
@@ -593,13 +418,13 @@ fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
     (0..free.len()).filter(|&k| free[k] != free[next(k)]).all(|k| stays(k) && stays(next(k)))
 }
 
-/// The points of all probes of a configuration.
-fn probes(config: &Config) -> Vec<[f64; 2]> {
+/// The points of all probes of a checked configuration in D dimensions.
+pub(super) fn probes<const D: usize>(config: &Config) -> Vec<[f64; D]> {
     let objective = &config.objective;
     let of_terms = objective.terms.iter().map(Term::asked);
     let asked = of_terms.chain([objective.asked()]).chain(config.limits.iter().map(LimitEntry::asked));
-    let mut found: Vec<[f64; 2]> = vec![];
-    for place in asked.filter_map(|asked| asked.at) {
+    let mut found: Vec<[f64; D]> = vec![];
+    for place in asked.filter_map(|asked| asked.at?.try_into().ok()) {
         if !found.contains(&place) {
             found.push(place);
         }
@@ -619,11 +444,15 @@ fn check_probes(cloud: &Cloud, probes: &[[f64; 2]]) -> Result<(), BadInput> {
         let is_hidden = cloud.ground.is_in_wall(&cloud.places.polygons, *probe, None).is_some();
         // A point on a round wall is inside of it by rounding.
         if !near.is_some_and(|(distance, _)| !is_hidden || distance < surface) {
-            let problem = format!("the probe at {probe:?} is not in the fluid");
-            return Err(BadInput::at("objective.at", problem).allowed("points in the fluid or on its walls"));
+            return Err(not_in_fluid(probe));
         }
     }
     Ok(())
+}
+
+pub(super) fn not_in_fluid(probe: &[f64]) -> BadInput {
+    let problem = format!("the probe at {probe:?} is not in the fluid");
+    BadInput::at("objective.at", problem).allowed("points in the fluid or on its walls")
 }
 
 /// Two thirds of the spacing, in three digits.
@@ -713,6 +542,10 @@ pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
         ),
         NoSteadyState::Unbounded { time } => Error::diverged(
             format!("the flow is not finite after t = {time:.4}"),
+            format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
+        ),
+        NoSteadyState::Unsolved => Error::diverged(
+            "the iterations for a step in time did not converge".to_string(),
             format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
         ),
         NoSteadyState::Adjoint => {

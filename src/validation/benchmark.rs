@@ -3,7 +3,8 @@
 use super::found::{Curve, Found, Progress};
 use crate::config::scene::Config;
 use crate::scene::around_bodies::AroundBodies;
-use crate::scene::around_in_time::{History, Moment};
+use crate::scene::around_flow::Around;
+use crate::scene::history::{History, Moment};
 use crate::scene::around_shapes::AroundShapes;
 use crate::scene::periodic_box::PeriodicBox;
 use crate::sph::cloud::figures::Figure;

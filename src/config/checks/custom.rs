@@ -306,12 +306,6 @@ impl Config {
     fn check_around_bodies(&self) -> Result<(), BadInput> {
         let bad = |key: &str, problem: &str| BadInput::at(key, format!("{key} {problem} in three dimensions"));
         const IN_PLANE: &str = "a scene in two dimensions";
-        if self.unsteady().is_some() {
-            return Err(bad("method.flow", "= unsteady").allowed("steady").advice("method.flow=steady"));
-        }
-        if self.fluid.expansion != 0.0 {
-            return Err(bad("fluid.expansion", "with method.name = fixed").allowed(IN_PLANE));
-        }
         if !self.output.grid.is_empty() {
             return Err(bad("output.grid", "with shapes").allowed(IN_PLANE));
         }
@@ -325,11 +319,11 @@ impl Config {
             objective.terms.iter().enumerate().map(|(k, term)| (format!("objective.terms[{k}].kind"), term.kind));
         let limits = self.limits.iter().enumerate().map(|(k, limit)| (format!("limits[{k}].kind"), limit.kind));
         for (key, kind) in terms.chain(limits).chain([("objective.kind".to_string(), objective.kind)]) {
-            use ObjectiveKind::{Area, Dissipation, Distance, Torque};
-            if kind.is_probe() || matches!(kind, Torque | Dissipation | Area | Distance) {
+            use ObjectiveKind::{Area, Dissipation, Distance};
+            if matches!(kind, Dissipation | Area | Distance) {
                 let shown = serde_json::to_value(kind).unwrap_or_default();
                 return Err(bad(&key, &format!("= {}", shown.as_str().unwrap_or_default()))
-                    .allowed("flow-rate, drag, lift, lift-over-drag, shape-heat, heat-outflow, pressure-drop; limits: volume too"));
+                    .allowed("flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop; pressure, temperature, velocity-x, velocity-y, velocity-z (at a point); limits: volume too"));
             }
         }
         Ok(())
@@ -338,20 +332,27 @@ impl Config {
     fn check_objective_of_shapes(&self, has_heat: bool) -> Result<(), BadInput> {
         let objective = &self.objective;
         let one = |key: &str, asked: &Asked, limit: bool| {
-            let Asked { kind, ref shapes, at } = *asked;
+            let Asked { kind, ref shapes, ref at } = *asked;
+            let (point, size) = if self.dimension() == 3 { ("[x, y, z]", 3) } else { ("[x, y]", 2) };
             let bad = |what: &str| BadInput::at(key, format!("{key}: {what}"));
             if kind.is_probe() != at.is_some() {
                 return Err(match at {
-                    None => bad("a probe without a place").allowed("at = [x, y] beside the kind"),
+                    None => bad("a probe without a place").allowed(format!("at = {point} beside the kind")),
                     Some(_) => bad("only probes are at a point")
-                        .allowed("at = [x, y] with pressure, temperature, velocity-x, velocity-y"),
+                        .allowed(format!("at = {point} with pressure, temperature, velocity-x, velocity-y")),
                 });
             }
             if let Some(place) = at {
-                if (0..2).any(|d| !(place[d] >= 0.0 && place[d] <= self.region.size[d])) {
-                    return Err(bad(&format!("the point {place:?} is outside of the box"))
-                        .allowed(format!("0 ... {} and 0 ... {}", self.region.size[0], self.region.size[1])));
+                if place.len() != size {
+                    return Err(bad(&format!("the point {place:?}")).allowed(format!("at = {point}")));
                 }
+                if place.iter().zip(&self.region.size).any(|(x, size)| !(*x >= 0.0 && x <= size)) {
+                    let sides: Vec<String> = self.region.size.iter().map(|size| format!("0 ... {size}")).collect();
+                    return Err(bad(&format!("the point {place:?} is outside of the box")).allowed(sides.join(" and ")));
+                }
+            }
+            if kind == ObjectiveKind::VelocityZ && size == 2 {
+                return Err(bad("velocity-z in two dimensions").allowed("velocity-x, velocity-y"));
             }
             if let Some(wrong) = shapes.iter().find(|&&k| k >= self.shapes.len()) {
                 return Err(bad(&format!("there is no shape {wrong}")).allowed(format!(

@@ -45,7 +45,7 @@ impl Schema for Config {
         (config.resolution.surface, config.resolution.far) = (Some(0.01), Some(1.0));
         config.resolution.growth = Some(0.1);
         config.objective.goal = Goal::Smaller;
-        config.objective.at = Some([0.0; 2]);
+        config.objective.at = Some(vec![0.0; 2]);
         (config.objective.periods, config.objective.period) = (Some(1), Some(Formula("2*PI".into())));
         let side = Some(Side {
             velocity: Some(vec![]),

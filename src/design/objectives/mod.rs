@@ -144,6 +144,7 @@ impl Figure {
             ObjectiveKind::Temperature => ("temperature", "temperature", "temperature at the probe", "scene units"),
             ObjectiveKind::VelocityX => ("velocity", "velocity_x", "velocity along x at the probe", "u"),
             ObjectiveKind::VelocityY => ("velocity", "velocity_y", "velocity along y at the probe", "u"),
+            ObjectiveKind::VelocityZ => ("velocity", "velocity_z", "velocity along z at the probe", "u"),
             ObjectiveKind::Area => ("area", "area", "area of shapes", "length^2"),
             ObjectiveKind::Volume => ("volume", "volume", "volume of shapes", "length^3"),
             ObjectiveKind::Distance => ("distance", "distance", "smallest distance", "length"),

@@ -24,9 +24,9 @@ const SMOOTHING: f64 = 1.0;
 
 /// The velocity at a point of the boundary.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Motion {
-    Given([f64; 2]),
-    /// No flow along direction d, and no derivative along it of the other component.
+pub enum Motion<const D: usize = 2> {
+    Given([f64; D]),
+    /// No flow along direction d, and no derivative along it of the other components.
     Symmetry(usize),
     /// No derivative along direction d, and p = 0.
     Outflow(usize),
@@ -42,24 +42,24 @@ pub enum Warmth {
 
 /// What holds at a point of the boundary.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Condition {
-    pub motion: Motion,
+pub struct Condition<const D: usize = 2> {
+    pub motion: Motion<D>,
     pub warmth: Warmth,
     /// Unit normal into the fluid.
-    pub normal: [f64; 2],
+    pub normal: [f64; D],
 }
 
 /// Velocity, pressure and temperature of all particles, and the two numbers of the whole flow.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct State {
-    /// u, v, p, T.
-    pub fields: [Vec<f64>; 4],
+#[derive(Debug, Clone, PartialEq)]
+pub struct State<const F: usize = 4> {
+    /// u, v, p, T; in space u, v, w, p, T.
+    pub fields: [Vec<f64>; F],
     /// The rest of continuity, and the acceleration along x that a drive adds.
     pub lambda: f64,
     pub drive: f64,
 }
 
-impl State {
+impl<const F: usize> State<F> {
     pub fn at_rest(particles: usize) -> Self {
         Self { fields: std::array::from_fn(|_| vec![0.0; particles]), lambda: 0.0, drive: 0.0 }
     }
@@ -83,18 +83,15 @@ pub struct Equations {
     pub stencils: Stencils,
 }
 
-/// Derivatives of all fields at all particles, `[N][COEFFICIENTS]` each.
-#[derive(Debug, Clone, Default)]
-pub struct Derivatives(pub [Vec<[f64; COEFFICIENTS]>; 4]);
+/// Derivatives of all F fields at all particles, `[N][C]` each.
+#[derive(Debug, Clone)]
+pub struct Derivatives<const F: usize = 4, const C: usize = COEFFICIENTS>(pub [Vec<[f64; C]>; F]);
 
-impl Derivatives {
+impl<const F: usize, const C: usize> Derivatives<F, C> {
     pub fn zeros(particles: usize) -> Self {
-        Self(std::array::from_fn(|_| vec![[0.0; COEFFICIENTS]; particles]))
+        Self(std::array::from_fn(|_| vec![[0.0; C]; particles]))
     }
 }
-
-/// The fields that the flow carries: u, v and T.
-pub const CARRIED: [usize; 3] = [0, 1, 3];
 
 impl Equations {
     pub fn particles(&self) -> usize {
@@ -135,21 +132,11 @@ impl Equations {
         d
     }
 
-    /// The slopes along x and y of what is [`CARRIED`] (T only with heat) at particles inside.
+    /// The slopes along x and y of u, v and, with heat, T at particles inside.
     pub fn carried_slopes(&self, operators: &Coefficients, state: &State) -> Vec<Vec<[f64; 2]>> {
         let [u, v, _, t] = &state.fields;
         let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, t] } else { &[u, v] };
         operators.slopes(&self.stencils, fields, self.inside)
-    }
-
-    /// u . grad of u, v and T at particles inside.
-    pub fn advection(&self, operators: &Coefficients, state: &State) -> Vec<[f64; 3]> {
-        let [u, v, ..] = &state.fields;
-        let slopes = self.carried_slopes(operators, state);
-        let of = |i: usize| -> [f64; 3] {
-            std::array::from_fn(|f| slopes.get(f).map_or(0.0, |slopes| u[i] * slopes[i][0] + v[i] * slopes[i][1]))
-        };
-        (0..self.inside).map(of).collect()
     }
 
     /// Buoyancy on a particle along e.
@@ -392,32 +379,40 @@ impl Equations {
     }
 }
 
-/// Cotangents of a point of the boundary: of its given velocity, of its given temperature or flux, and of its normal.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct BoundaryBar {
-    pub velocity: [f64; 2],
+/// Cotangents of a point of the boundary: of its given velocity, of its given temperature or flux, of its unit normal, and of normal
+/// times length or area.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BoundaryBar<const D: usize = 2> {
+    pub velocity: [f64; D],
     pub temperature: f64,
-    pub normal: [f64; 2],
-    /// Of normal times length.
-    pub area: [f64; 2],
+    pub normal: [f64; D],
+    pub area: [f64; D],
 }
 
-/// Cotangents of all that depends on the shape, and of the state.
+impl<const D: usize> Default for BoundaryBar<D> {
+    fn default() -> Self {
+        Self { velocity: [0.0; D], temperature: 0.0, normal: [0.0; D], area: [0.0; D] }
+    }
+}
+
+/// Cotangents of all that depends on the shape, and of the state, in D dimensions with F fields and fits of C coefficients.
 #[derive(Debug, Clone)]
-pub struct Bar {
-    pub derivatives: Derivatives,
-    pub boundary: Vec<BoundaryBar>,
-    /// Of positions themselves, `[2][N]`.
-    pub position: [Vec<f64>; 2],
-    /// Of the fields themselves, `[4][N]`.
-    pub fields: [Vec<f64>; 4],
+pub struct Bar<const D: usize = 2, const F: usize = 4, const C: usize = COEFFICIENTS> {
+    pub derivatives: Derivatives<F, C>,
+    pub boundary: Vec<BoundaryBar<D>>,
+    /// Of positions themselves, `[D][N]`.
+    pub position: [Vec<f64>; D],
+    /// Of the fields themselves, `[F][N]`.
+    pub fields: [Vec<f64>; F],
     /// Of the drive's acceleration.
     pub drive: f64,
+    /// Of the volume of the fluid, in space.
+    pub volume: f64,
     /// Of numbers of shapes themselves: shape, number, cotangent.
     pub numbers: Vec<(usize, usize, f64)>,
 }
 
-impl Bar {
+impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
     pub fn new(particles: usize, boundary: usize) -> Self {
         Self {
             derivatives: Derivatives::zeros(particles),
@@ -425,6 +420,7 @@ impl Bar {
             position: std::array::from_fn(|_| vec![0.0; particles]),
             fields: std::array::from_fn(|_| vec![0.0; particles]),
             drive: 0.0,
+            volume: 0.0,
             numbers: vec![],
         }
     }

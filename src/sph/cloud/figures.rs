@@ -325,6 +325,11 @@ impl Measures {
         -self.rest.iter().map(|&k| self.warmth(at, k)).sum::<f64>()
     }
 
+    /// Whether balance tells the force of a body: of a steady flow without buoyancy, whose sum over the fluid is not known.
+    fn balances_force(&self, at: &At<'_>, shape: usize) -> bool {
+        self.share[shape] != 0.0 && at.equations.buoyancy.is_none()
+    }
+
     /// Whether balance tells the heat of bodies: something else lets heat through.
     fn balances_heat(&self, at: &At<'_>) -> bool {
         self.rest.iter().any(|&k| {
@@ -343,7 +348,7 @@ impl Measures {
             }
             Figure::Force { shape, along } => {
                 let own = self.surface_force(at, shape, along);
-                if self.share[shape] == 0.0 {
+                if !self.balances_force(at, shape) {
                     return own;
                 }
                 let all: f64 = self.bodies().map(|body| self.surface_force(at, body, along)).sum();
@@ -433,7 +438,7 @@ impl Measures {
             Figure::Force { shape, along } => {
                 let share = self.share[shape];
                 self.points[shape].iter().for_each(|&k| self.push_back(at, k, along, weight, bar));
-                if share == 0.0 {
+                if !self.balances_force(at, shape) {
                     return;
                 }
                 for body in self.bodies() {

@@ -333,15 +333,15 @@ impl<const C: usize> Coefficients<C> {
     }
 }
 
-/// The slopes along x and y of the particles of a block.
-struct Slopes<'a> {
-    coefficients: &'a Coefficients,
-    stencils: &'a Stencils,
+/// The slopes of the particles of a block.
+struct Slopes<'a, const D: usize, const C: usize> {
+    coefficients: &'a Coefficients<C>,
+    stencils: &'a Stencils<D>,
     fields: &'a [&'a [f64]],
 }
 
-impl<'a> PartKernel<f64> for Slopes<'a> {
-    /// `[fields][2][WIDEST]`.
+impl<'a, const D: usize, const C: usize> PartKernel<f64> for Slopes<'a, D, C> {
+    /// `[fields][D][WIDEST]`.
     type Part = &'a mut [f64];
 
     #[inline(always)]
@@ -350,18 +350,18 @@ impl<'a> PartKernel<f64> for Slopes<'a> {
         for l in (0..WIDEST).step_by(L::COUNT) {
             for (f, field) in self.fields.iter().enumerate() {
                 let own = L::load_part(&field[block * WIDEST + l..]);
-                let mut sum = [L::zero(); 2];
+                let mut sum = [L::zero(); D];
                 for k in 0..self.stencils.first[block + 1] - first {
                     let place = (first + k) * WIDEST + l;
                     // SAFETY: the tables have whole blocks, and the list names particles.
                     let other = unsafe { L::gather(field.as_ptr(), self.stencils.list.as_ptr().add(place)) };
                     for (d, sum) in sum.iter_mut().enumerate() {
-                        let from = ((first + k) * COEFFICIENTS + d) * WIDEST + l;
+                        let from = ((first + k) * C + d) * WIDEST + l;
                         *sum = L::load_part(&self.coefficients.value[from..]).mul_add(other - own, *sum);
                     }
                 }
                 for (d, sum) in sum.into_iter().enumerate() {
-                    let to = (2 * f + d) * WIDEST + l;
+                    let to = (D * f + d) * WIDEST + l;
                     // SAFETY: COUNT lanes from l on are within the row of WIDEST.
                     unsafe { sum.store(part[to..to + L::COUNT].as_mut_ptr()) };
                 }
@@ -370,15 +370,20 @@ impl<'a> PartKernel<f64> for Slopes<'a> {
     }
 }
 
-impl Coefficients {
-    /// The derivatives along x and y of fields `[N]` at the first `count` particles: `[fields][count]`.
-    pub fn slopes(&self, stencils: &Stencils, fields: &[&[f64]], count: usize) -> Vec<Vec<[f64; 2]>> {
+impl<const C: usize> Coefficients<C> {
+    /// The derivatives along all directions of fields `[N]` at the first `count` particles: `[fields][count]`.
+    pub fn slopes<const D: usize>(
+        &self,
+        stencils: &Stencils<D>,
+        fields: &[&[f64]],
+        count: usize,
+    ) -> Vec<Vec<[f64; D]>> {
         let padded: Vec<Vec<f64>> = fields.iter().map(|field| stencils.padded_field(field)).collect();
         let padded: Vec<&[f64]> = padded.iter().map(Vec::as_slice).collect();
-        let width = 2 * fields.len() * WIDEST;
+        let width = D * fields.len() * WIDEST;
         let mut all = vec![0.0; blocks(count) * width];
         run_parts(&Slopes { coefficients: self, stencils, fields: &padded }, all.chunks_exact_mut(width));
-        let of = |f: usize, i: usize| [0, 1].map(|d| all[field(2 * fields.len(), i, 2 * f + d)]);
+        let of = |f: usize, i: usize| std::array::from_fn(|d| all[field(D * fields.len(), i, D * f + d)]);
         (0..fields.len()).map(|f| (0..count).map(|i| of(f, i)).collect()).collect()
     }
 }

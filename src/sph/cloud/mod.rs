@@ -10,11 +10,13 @@
 //! Particles stay; the weights of their fits are computed once per cloud, so every figure is a smooth function of the
 //! numbers ([`particles`]).
 pub mod composed;
+pub mod conditions;
 pub mod deformation;
 pub mod equations;
 pub mod figures;
 pub mod fit;
 pub mod interpolation;
+pub mod march;
 pub mod nearest;
 pub mod outline;
 pub mod particles;

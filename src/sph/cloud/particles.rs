@@ -1,6 +1,7 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
 use super::deformation::Deformation;
+use super::conditions::Conditions;
 use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::nearest::{Nearest, Plane};
@@ -176,16 +177,34 @@ impl<'a> Sight<'a> {
     }
 }
 
-/// The cotangents of a point of the boundary times the difference of two conditions.
-pub fn difference(bar: &BoundaryBar, up: (Motion, Warmth), down: (Motion, Warmth)) -> f64 {
-    let number = |warmth: Warmth| match warmth {
-        Warmth::Given(x) | Warmth::Flux(x) => x,
-    };
-    let moves = match (up.0, down.0) {
-        (Motion::Given(a), Motion::Given(b)) => (0..2).map(|e| bar.velocity[e] * (a[e] - b[e])).sum(),
-        _ => 0.0,
-    };
-    moves + bar.temperature * (number(up.1) - number(down.1))
+impl Conditions<2> for Cloud {
+    fn inside(&self) -> usize {
+        self.places.inside
+    }
+
+    fn points(&self) -> usize {
+        self.places.boundary.len()
+    }
+
+    fn dx(&self) -> f64 {
+        self.ground.dx
+    }
+
+    fn condition(&self, point: usize, place: [f64; 2], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth) {
+        self.surroundings.condition(&self.places.boundary[point], place, time, numbers)
+    }
+
+    fn varies(&self, point: usize) -> bool {
+        self.places.boundary[point].on.is_some_and(|(shape, _)| self.surroundings.varies(shape))
+    }
+
+    fn has_time(&self) -> bool {
+        self.surroundings.has_time()
+    }
+
+    fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
+        number >= self.ground.outlines[shape].geometry
+    }
 }
 
 impl Cloud {
@@ -228,11 +247,6 @@ impl Cloud {
     /// The numbers of all shapes in the reference cloud.
     pub fn numbers(&self) -> Vec<Vec<f64>> {
         self.ground.outlines.iter().map(|outline| outline.numbers.clone()).collect()
-    }
-
-    /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of an outline.
-    pub fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
-        number >= self.ground.outlines[shape].geometry
     }
 
     /// The equations for a shape, whose conditions they hold.
@@ -291,73 +305,9 @@ impl Cloud {
         if let Some(place) = self.stencils.folded(&self.places.place, &position, 4) {
             return Err(Unusable::Folded(place));
         }
-        let conditions = self.conditions(&position, &normal, 0.0, numbers);
+        let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
         let operators = self.stencils.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
-    }
-
-    /// What holds on the boundary at a time, for positions and unit normals of its points.
-    fn conditions(
-        &self,
-        position: &[Vec<f64>; 2],
-        normal: &[[f64; 2]],
-        time: f64,
-        numbers: &[Vec<f64>],
-    ) -> Vec<Condition> {
-        let inside = self.places.inside;
-        let of = |(k, normal): (usize, &[f64; 2])| {
-            let place = [position[0][inside + k], position[1][inside + k]];
-            let (motion, warmth) = self.surroundings.condition(&self.places.boundary[k], place, time, numbers);
-            Condition { motion, warmth, normal: *normal }
-        };
-        normal.iter().enumerate().map(of).collect()
-    }
-
-    /// What holds on the boundary of a shape at a time.
-    pub fn conditions_at(&self, shaped: &Shaped, time: f64) -> Vec<Condition> {
-        let normal: Vec<[f64; 2]> = shaped.conditions.iter().map(|condition| condition.normal).collect();
-        self.conditions(&shaped.position, &normal, time, &shaped.numbers)
-    }
-
-    /// Of each point of the boundary the cotangent of its place that those of its given velocity and temperature make at a time; zeros
-    /// without a time.
-    pub fn conditions_back(&self, shaped: &Shaped, bar: &Bar, time: Option<f64>) -> Vec<[f64; 2]> {
-        let inside = self.places.inside;
-        let of = |k: usize| {
-            let point = &self.places.boundary[k];
-            let varies = point.on.is_some_and(|(shape, _)| self.surroundings.varies(shape));
-            let Some(time) = time.filter(|_| varies) else { return [0.0; 2] };
-            let place = [shaped.position[0][inside + k], shaped.position[1][inside + k]];
-            let step = 1e-5 * self.ground.dx;
-            std::array::from_fn(|d| {
-                let at = |sign: f64| {
-                    let mut p = place;
-                    p[d] += sign * step;
-                    self.surroundings.condition(point, p, time, &shaped.numbers)
-                };
-                difference(&bar.boundary[k], at(1.0), at(-1.0)) / (2.0 * step)
-            })
-        };
-        (0..self.places.boundary.len()).map(of).collect()
-    }
-
-    /// The derivative by a parameter of the formulas on a shape, given the cotangents of velocities and temperatures at a time.
-    pub fn by_parameter(&self, shaped: &Shaped, bar: &Bar, (shape, number): (usize, usize), time: f64) -> f64 {
-        let inside = self.places.inside;
-        let value = shaped.numbers[shape][number];
-        let step = 1e-5 * value.abs().max(1e-3);
-        let with = |sign: f64| {
-            let mut numbers = shaped.numbers.clone();
-            numbers[shape][number] = value + sign * step;
-            numbers
-        };
-        let (up, down) = (with(1.0), with(-1.0));
-        let of = |(k, point): (usize, &BoundaryPoint)| {
-            let place = [shaped.position[0][inside + k], shaped.position[1][inside + k]];
-            let at = |numbers: &[Vec<f64>]| self.surroundings.condition(point, place, time, numbers);
-            difference(&bar.boundary[k], at(&up), at(&down)) / (2.0 * step)
-        };
-        self.places.boundary.iter().enumerate().map(of).sum()
     }
 
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that
@@ -372,10 +322,13 @@ impl Cloud {
     ) -> Vec<f64> {
         let place_bar: [Vec<f64>; 2] = std::array::from_fn(|d| self.deformation.pull_back(&position_bar[d]));
         let on_shapes = self.on_shapes();
-        let by_condition = self.conditions_back(shaped, bar, time);
+        let by_condition = self.conditions_back(&shaped.position, &shaped.numbers, &bar.boundary, time);
         let of = |&(shape, number): &(usize, usize)| {
             if self.is_parameter((shape, number)) {
-                return time.map_or(0.0, |time| self.by_parameter(shaped, bar, (shape, number), time));
+                let of = |time: f64| {
+                    self.by_parameter(&shaped.position, &shaped.numbers, &bar.boundary, (shape, number), time)
+                };
+                return time.map_or(0.0, of);
             }
             let (points, parameters) = &on_shapes[shape];
             let slopes = self.ground.outlines[shape].slopes(parameters, &shaped.numbers[shape], number);

@@ -29,6 +29,8 @@ pub enum NoSteadyState {
     Diverged { residual: f64 },
     /// The transposed system was not solved.
     Adjoint,
+    /// The equations of a step in time were not solved.
+    Unsolved,
     /// A flow in time left all bounds after this time.
     Unbounded { time: f64 },
 }

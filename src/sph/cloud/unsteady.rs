@@ -1,4 +1,4 @@
-//! Flows at fixed particles in time.
+//! Flows at fixed particles in time, in the plane and in space.
 //!
 //! Backward differences of second order with advection extrapolated from the last two states (Ascher, Ruuth and Wetton 1995;
 //! variable steps: Wang and Ruuth 2008): with r the size dt of a step over that of the last one,
@@ -13,15 +13,14 @@
 //!
 //! The first two steps have r = 0, Euler's: the fields at the start need not fit to the walls. Velocity and pressure are solved
 //! for together, so there is no error of splitting and walls hold to rounding. The matrix is the same for all steps of one
-//! size; its factors ([`crate::numerics::sparse_lu`]) are kept, and a step is one solution with them.
+//! size; how it is solved with is a matter of the dimension ([`super::march`], [`super::space::march`]).
 //!
 //! The size follows from an estimate of the error of a step, the difference from what the last three states extrapolate to, and
 //! from how far the fluid may go, in spacings: advection is explicit.
 
-use super::equations::{Bar, Condition, Equations, Motion, State, Warmth, CARRIED};
-use super::fit::Coefficients;
-use super::steady::{Border, Factors, FlowRate, Held, NoSteadyState, Solver};
-use crate::numerics::sparse_lu::SparseLu;
+use super::equations::{Bar, Condition, Derivatives, Motion, State, Warmth};
+use super::steady::NoSteadyState;
+use crate::sph::laws::buoyancy::Buoyancy;
 use std::borrow::Cow;
 
 /// How far the fluid may go in a step, in spacings. (Behind a cylinder steps of 0.7 are stable, of 1 they are not.)
@@ -35,10 +34,11 @@ const SHORTEST: f64 = 0.05;
 /// How many steps tau is at most. (With 1 to 5 pressures that the fits hardly see grow where particles are irregular and the viscosity
 /// is small; with 20 and more they do at walls with steps a hundredth of what the flow allows.)
 const LAG: f64 = 10.0;
-/// Matrices whose factors are kept: so many, or more as long as they need no more than these bytes. (Where a wall turns back and forth
-/// three sizes of steps take turns, each with matrices of its own after larger and smaller ones: seven.)
-const KEPT: usize = 3;
-const BYTES: usize = 300_000_000;
+
+/// tau of each particle in steps with a0 / dt = `rate`, given that of the steady flow.
+pub fn lagged(damping: &[f64], rate: f64) -> Vec<f64> {
+    damping.iter().map(|tau| 1.0 / (1.0 / tau + rate / LAG)).collect()
+}
 
 /// A step: its size, and that of the one before (0: it does not look back).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -61,20 +61,27 @@ impl Step {
     }
 }
 
-/// A state with its advection, u . grad of u, v and T at particles inside.
-#[derive(Debug, Clone, Default)]
-pub struct Level {
-    pub state: State,
-    pub advection: Vec<[f64; 3]>,
+/// A state with its advection, u . grad of each field that is carried, at particles inside.
+#[derive(Debug, Clone)]
+pub struct Level<const F: usize = 4> {
+    pub state: State<F>,
+    pub advection: Vec<[f64; F]>,
 }
 
-/// What the boundary is at a time, `[boundary]`.
-pub trait InTime {
-    fn conditions(&self, time: f64) -> Vec<Condition>;
+impl<const F: usize> Level<F> {
+    /// What is before the start: nothing looks back to it.
+    pub fn none() -> Self {
+        Self { state: State::at_rest(0), advection: vec![] }
+    }
+}
+
+/// What the boundary is at a time, `[boundary]`, in D dimensions with F fields and fits of C coefficients.
+pub trait InTime<const D: usize, const F: usize, const C: usize> {
+    fn conditions(&self, time: f64) -> Vec<Condition<D>>;
     /// Whether they change with time.
     fn changes(&self) -> bool;
     /// The conditions at a time, given those at the start.
-    fn at<'a>(&self, time: f64, start: &'a [Condition]) -> Cow<'a, [Condition]> {
+    fn at<'a>(&self, time: f64, start: &'a [Condition<D>]) -> Cow<'a, [Condition<D>]> {
         if self.changes() {
             Cow::Owned(self.conditions(time))
         } else {
@@ -82,9 +89,9 @@ pub trait InTime {
         }
     }
     /// What cotangents of given velocities and temperatures at a time are of positions and of the parameters of formulas.
-    fn pull_back(&self, _time: f64, _bar: &Bar, _position: &mut [Vec<f64>; 2], _parameters: &mut [f64]) {}
-    /// What those of the first state's fields, `[4][N]`, are of the boundary and of positions.
-    fn of_start(&self, _fields: &[Vec<f64>; 4], _bar: &mut Bar, _position: &mut [Vec<f64>; 2]) {}
+    fn pull_back(&self, time: f64, bar: &Bar<D, F, C>, position: &mut [Vec<f64>; D], parameters: &mut [f64]);
+    /// What those of the first state's fields, `[F][N]`, are of the boundary and of positions.
+    fn of_start(&self, fields: &[Vec<f64>; F], bar: &mut Bar<D, F, C>, position: &mut [Vec<f64>; D]);
 }
 
 /// How large steps are.
@@ -98,144 +105,125 @@ pub struct Control {
     pub end: f64,
 }
 
-/// Solutions with the matrix of one size of step.
-struct Matrices {
-    rate: f64,
-    flow: Factors,
-    heat: Option<SparseLu>,
+/// What an iteration for a step's result may begin with.
+#[derive(Clone, Copy)]
+pub struct Guess<'a, const F: usize> {
+    pub now: &'a State<F>,
+    pub before: &'a State<F>,
+    pub ratio: f64,
 }
 
-impl Matrices {
-    fn bytes(&self) -> usize {
-        self.flow.bytes() + self.heat.as_ref().map_or(0, SparseLu::bytes)
+impl<const F: usize> Guess<'_, F> {
+    /// A number of the result, extrapolated from the last two.
+    pub fn of(&self, number: impl Fn(&State<F>) -> f64) -> f64 {
+        let now = number(self.now);
+        if self.ratio > 0.0 {
+            now + self.ratio * (now - number(self.before))
+        } else {
+            now
+        }
     }
 }
 
-/// Steps of a flow around one shape.
-pub struct March {
-    solver: Solver,
-    kept: Vec<Matrices>,
-    border: Border,
-    /// tau of a steady flow.
-    damping: Vec<f64>,
-    pub factorisations: usize,
-}
-
-impl March {
-    /// `held`: a flow rate that is held, and how it follows from the state.
-    pub fn new(
-        equations: Equations,
-        places: &[[f64; 2]],
-        operators: &Coefficients,
-        held: Option<(&Held, &dyn FlowRate)>,
-        threads: usize,
-    ) -> Self {
-        let damping = equations.damping.clone();
-        let solver = Solver::of_size(equations, places, 3, threads);
-        let border = solver.border_at_rest(operators, held);
-        Self { solver, kept: vec![], border, damping, factorisations: 0 }
+/// The discrete equations of flows in time around one shape in D dimensions, with F = D + 2 fields (velocity, pressure, temperature) and
+/// fits of C coefficients. Vectors of the flow are `[N, D + 1]`, and behind them lambda (where no pressure is given) and the drive
+/// (where a flow rate is held).
+pub trait Scheme<const D: usize, const F: usize, const C: usize> {
+    fn particles(&self) -> usize;
+    fn inside(&self) -> usize;
+    fn boundary(&self) -> usize {
+        self.particles() - self.inside()
     }
+    /// How many matrices were prepared so far.
+    fn factorisations(&self) -> usize;
+    fn has_heat(&self) -> bool;
+    fn force(&self) -> [f64; D];
+    fn buoyancy(&self) -> Option<Buoyancy>;
+    /// Whether lambda is an unknown, and the drive.
+    fn extra(&self) -> [bool; 2];
+    /// The slopes of the velocity and, with heat, of T at particles inside.
+    fn carried_slopes(&self, state: &State<F>) -> Vec<Vec<[f64; D]>>;
+    /// Derivatives at the boundary.
+    fn boundary_derivatives(&self, state: &State<F>) -> Derivatives<F, C>;
+    /// See [`super::equations::Equations::by_fields`].
+    fn by_fields(&self, bar: &Bar<D, F, C>) -> [Vec<f64>; F];
+    /// See [`super::equations::Equations::by_positions`].
+    fn by_positions(&self, position: &[Vec<f64>; D], state: &State<F>, bar: &Bar<D, F, C>) -> [Vec<f64>; D];
+    /// See [`super::equations::Equations::pull_back_linear`]; `rate`: a0 / dt.
+    fn pull_back_linear(
+        &mut self,
+        rate: f64,
+        d: &Derivatives<F, C>,
+        flow: &[f64],
+        heat: Option<&[f64]>,
+        bar: &mut Bar<D, F, C>,
+    );
+    /// The flow that solves the equations with a0 / dt = `rate` for a right-hand side, or without a guess their transpose.
+    ///
+    /// # Errors
+    /// A matrix without factors, or iterations that do not converge.
+    fn solve_flow(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, F>>) -> Result<Vec<f64>, NoSteadyState>;
+    /// The same of the temperature, `[N]`.
+    ///
+    /// # Errors
+    /// As [`Self::solve_flow`].
+    fn solve_heat(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, F>>) -> Result<Vec<f64>, NoSteadyState>;
 
-    pub fn equations(&self) -> &Equations {
-        &self.solver.equations
+    /// The fields that the flow carries: the velocity, and T with heat.
+    fn carried(&self) -> Vec<usize> {
+        (0..D).chain(self.has_heat().then_some(D + 1)).collect()
     }
 
     /// A state as a level.
-    pub fn level(&self, operators: &Coefficients, state: State) -> Level {
-        let advection = self.equations().advection(operators, &state);
-        Level { state, advection }
-    }
-
-    /// The factors for a0 / dt.
-    fn matrices(&mut self, rate: f64, operators: &Coefficients) -> Result<&Matrices, NoSteadyState> {
-        // Also of use for the adjoint, which takes the matrices' derivatives.
-        let damping = self.damping.iter().map(|tau| 1.0 / (1.0 / tau + rate / LAG));
-        self.solver.equations.damping = damping.collect();
-        if let Some(k) = self.kept.iter().position(|kept| (kept.rate / rate - 1.0).abs() < 1e-12) {
-            let found = self.kept.remove(k);
-            self.kept.push(found);
-        } else {
-            let (flow, heat) = self.solver.factors_at(rate, operators, &self.border)?;
-            self.factorisations += 1;
-            self.kept.push(Matrices { rate, flow, heat });
-            while self.kept.len() > KEPT && self.kept.iter().map(Matrices::bytes).sum::<usize>() > BYTES {
-                self.kept.remove(0);
+    fn level(&self, state: State<F>) -> Level<F> {
+        let slopes = self.carried_slopes(&state);
+        let mut advection = vec![[0.0; F]; self.inside()];
+        for (slopes, field) in slopes.iter().zip(self.carried()) {
+            for (i, (to, slope)) in advection.iter_mut().zip(slopes).enumerate() {
+                to[field] = (0..D).map(|e| state.fields[e][i] * slope[e]).sum();
             }
         }
-        self.kept.last().ok_or(NoSteadyState::Singular)
-    }
-
-    /// The multipliers of a step's flow, `[3 N + m]`, given the cotangents of the fields of its result and of the drive.
-    pub(super) fn transposed(
-        &mut self,
-        rate: f64,
-        operators: &Coefficients,
-        fields: &[Vec<f64>],
-        drive: f64,
-    ) -> Result<Vec<f64>, NoSteadyState> {
-        let extra = self.border.columns.len();
-        let is_held = extra > usize::from(self.border.pins);
-        let mut right: Vec<f64> =
-            (0..fields[0].len()).flat_map(|i| [fields[0][i], fields[1][i], fields[2][i]]).collect();
-        right.resize(right.len() + extra, 0.0);
-        if let (true, Some(last)) = (is_held, right.last_mut()) {
-            *last = drive;
-        }
-        Ok(self.matrices(rate, operators)?.flow.solve(&right, true, false))
-    }
-
-    /// The same of its heat, `[N]`.
-    pub(super) fn transposed_heat(
-        &mut self,
-        rate: f64,
-        operators: &Coefficients,
-        right: &[f64],
-    ) -> Result<Vec<f64>, NoSteadyState> {
-        let matrices = self.matrices(rate, operators)?;
-        Ok(matrices.heat.as_ref().map_or_else(Vec::new, |heat| heat.solve(right, true)))
+        Level { state, advection }
     }
 
     /// The state after a step from `now`, `before` it, with the conditions of its end. `flow_rate`: the one that is held.
     ///
     /// # Errors
-    /// A matrix without factors.
-    pub fn step(
+    /// Those of [`Self::solve_flow`].
+    fn step(
         &mut self,
         step: Step,
-        now: &Level,
-        before: &Level,
-        conditions: &[Condition],
+        now: &Level<F>,
+        before: &Level<F>,
+        conditions: &[Condition<D>],
         flow_rate: Option<f64>,
-        operators: &Coefficients,
-    ) -> Result<State, NoSteadyState> {
+    ) -> Result<State<F>, NoSteadyState> {
         let (r, [a0, a1, a2]) = step.weights();
-        let Equations { inside, force, buoyancy, diffusivity, .. } = *self.equations();
-        let n = self.equations().particles();
-        let pins = self.border.pins;
-        let extra = self.border.columns.len();
-        let carried = |i: usize, f: usize| {
-            let field = CARRIED[f];
-            let last = if r > 0.0 { r * before.advection[i][f] + -a2 * before.state.fields[field][i] } else { 0.0 };
-            a1 * now.state.fields[field][i] - (1.0 + r) * now.advection[i][f] + last
+        let (n, inside, force, buoyancy) = (self.particles(), self.inside(), self.force(), self.buoyancy());
+        let [pins, drives] = self.extra();
+        let carried = |i: usize, field: usize| {
+            let last = if r > 0.0 { r * before.advection[i][field] - a2 * before.state.fields[field][i] } else { 0.0 };
+            a1 * now.state.fields[field][i] - (1.0 + r) * now.advection[i][field] + last
         };
+        let guess = Some(Guess { now: &now.state, before: &before.state, ratio: r });
         let mut state = State::at_rest(n);
-        let matrices = self.matrices(a0, operators)?;
-        if let (Some(_), Some(heat)) = (diffusivity, &matrices.heat) {
+        if self.has_heat() {
             let right: Vec<f64> = (0..n)
                 .map(|i| match i.checked_sub(inside).map(|k| conditions[k].warmth) {
-                    None => carried(i, 2),
+                    None => carried(i, D + 1),
                     Some(Warmth::Given(given)) => given,
                     Some(Warmth::Flux(flux)) => -flux,
                 })
                 .collect();
-            state.fields[3] = heat.solve(&right, false);
+            state.fields[D + 1] = self.solve_heat(a0, &right, guess)?;
         }
-        let mut right = vec![0.0; 3 * n + extra];
+        let size = D + 1;
+        let mut right = vec![0.0; size * n + usize::from(pins) + usize::from(drives)];
         for i in 0..n {
-            for e in 0..2 {
-                right[3 * i + e] = match i.checked_sub(inside).map(|k| conditions[k].motion) {
+            for e in 0..D {
+                right[size * i + e] = match i.checked_sub(inside).map(|k| conditions[k].motion) {
                     None => {
-                        let lift = buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, state.fields[3][i]));
+                        let lift = buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, state.fields[D + 1][i]));
                         carried(i, e) + force[e] + lift
                     }
                     Some(Motion::Given(given)) => given[e],
@@ -243,14 +231,14 @@ impl March {
                 };
             }
         }
-        if let Some(flow_rate) = flow_rate {
-            right[3 * n + extra - 1] = flow_rate;
+        if let (Some(flow_rate), Some(last)) = (flow_rate, right.last_mut()) {
+            *last = flow_rate;
         }
-        let x = matrices.flow.solve(&right, false, false);
+        let x = self.solve_flow(a0, &right, guess)?;
         for i in 0..n {
-            (0..3).for_each(|f| state.fields[f][i] = x[3 * i + f]);
+            (0..size).for_each(|f| state.fields[f][i] = x[size * i + f]);
         }
-        let mut more = x[3 * n..].iter();
+        let mut more = x[size * n..].iter();
         if pins {
             state.lambda = more.next().copied().unwrap_or(0.0);
         }
@@ -260,26 +248,28 @@ impl March {
 }
 
 /// A flow that goes on in time, with steps whose size it chooses.
-pub struct Flow<'a> {
-    pub march: &'a mut March,
-    pub operators: &'a Coefficients,
-    pub boundary: &'a dyn InTime,
+pub struct Flow<'a, M, const D: usize, const F: usize, const C: usize> {
+    pub march: &'a mut M,
+    pub boundary: &'a dyn InTime<D, F, C>,
     pub flow_rate: Option<f64>,
     /// Spacing of each particle.
     pub spacing: &'a [f64],
 }
 
-/// Root mean square of the difference of two velocities in a third field's, over particles inside.
-fn difference(inside: usize, a: &State, b: &[Vec<f64>; 2]) -> f64 {
+/// Root mean square of the difference of two velocities, over particles inside.
+fn difference<const D: usize, const F: usize>(inside: usize, a: &State<F>, b: &[Vec<f64>; D]) -> f64 {
     let square = |e: usize| (0..inside).map(|i| (a.fields[e][i] - b[e][i]).powi(2)).sum::<f64>();
-    ((square(0) + square(1)) / inside as f64).sqrt()
+    ((0..D).map(square).sum::<f64>() / inside as f64).sqrt()
 }
 
-impl Flow<'_> {
+impl<M: Scheme<D, F, C>, const D: usize, const F: usize, const C: usize> Flow<'_, M, D, F, C> {
+    fn speed(state: &State<F>, i: usize) -> f64 {
+        (0..D).map(|e| state.fields[e][i].powi(2)).sum::<f64>().sqrt()
+    }
+
     /// The largest size of a step by advection.
-    fn courant(&self, state: &State) -> f64 {
-        let [u, v, ..] = &state.fields;
-        let rates = (0..self.march.equations().inside).map(|i| u[i].hypot(v[i]) / self.spacing[i]);
+    fn courant(&self, state: &State<F>) -> f64 {
+        let rates = (0..self.march.inside()).map(|i| Self::speed(state, i) / self.spacing[i]);
         COURANT / rates.fold(f64::MIN_POSITIVE, f64::max)
     }
 
@@ -289,19 +279,19 @@ impl Flow<'_> {
     /// Those of [`Self::run`].
     pub fn repeat<E: From<NoSteadyState>>(
         &mut self,
-        first: State,
+        first: State<F>,
         sizes: &[f64],
-        watch: &mut dyn FnMut(f64, &State) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
     ) -> Result<(), E> {
         let start = self.boundary.conditions(0.0);
-        let (mut time, mut before, mut now) = (0.0, Level::default(), self.march.level(self.operators, first));
+        let (mut time, mut before, mut now) = (0.0, Level::none(), self.march.level(first));
         for (k, &dt) in sizes.iter().enumerate() {
             let step = Step::after(&sizes[..k], dt);
             time += dt;
             let conditions = self.boundary.at(time, &start);
-            let state = self.march.step(step, &now, &before, &conditions, self.flow_rate, self.operators)?;
+            let state = self.march.step(step, &now, &before, &conditions, self.flow_rate)?;
             watch(time, &state)?;
-            let next = self.march.level(self.operators, state);
+            let next = self.march.level(state);
             before = std::mem::replace(&mut now, next);
         }
         Ok(())
@@ -314,20 +304,20 @@ impl Flow<'_> {
     /// A flow that is not finite, and those of `watch`.
     pub fn run<E: From<NoSteadyState>>(
         &mut self,
-        first: State,
+        first: State<F>,
         control: Control,
-        watch: &mut dyn FnMut(f64, &State) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
     ) -> Result<Vec<f64>, E> {
         let Control { tolerance, velocity, fixed, end } = control;
-        let inside = self.march.equations().inside;
+        let inside = self.march.inside();
         let level_of = |number: i32| end * RATIO.powi(-number);
         // The number of the largest size that is at most `most`.
         let number_of = |most: f64| ((end / most).ln() / RATIO.ln()).ceil().max(0.0) as i32;
         let start = self.boundary.conditions(0.0);
         let mut time = 0.0;
-        let mut now = self.march.level(self.operators, first);
-        let mut before = Level::default();
-        let mut earlier: Option<(State, f64)> = None;
+        let mut now = self.march.level(first);
+        let mut before = Level::none();
+        let mut earlier: Option<(State<F>, f64)> = None;
         let mut sizes: Vec<f64> = vec![];
         // The first steps are of first order and start from a flow that the walls do not know, so they are small.
         let mut number = number_of(
@@ -343,8 +333,8 @@ impl Flow<'_> {
             }
             let step = Step::after(&sizes, dt);
             let conditions = self.boundary.at(time + dt, &start);
-            let state = self.march.step(step, &now, &before, &conditions, self.flow_rate, self.operators)?;
-            let fastest = (0..inside).map(|i| state.fields[0][i].hypot(state.fields[1][i])).fold(0.0, f64::max);
+            let state = self.march.step(step, &now, &before, &conditions, self.flow_rate)?;
+            let fastest = (0..inside).map(|i| Self::speed(&state, i)).fold(0.0, f64::max);
             if fastest > 1e3 * velocity || state.fields.iter().flatten().any(|x| !x.is_finite()) {
                 return Err(NoSteadyState::Unbounded { time }.into());
             }
@@ -354,7 +344,7 @@ impl Flow<'_> {
                     let (a, b) = (step.last, step.last + size);
                     let weights =
                         [(dt + a) * (dt + b) / (a * b), -dt * (dt + b) / (a * (b - a)), dt * (dt + a) / (b * (b - a))];
-                    let expected: [Vec<f64>; 2] = std::array::from_fn(|e| {
+                    let expected: [Vec<f64>; D] = std::array::from_fn(|e| {
                         (0..inside)
                             .map(|i| {
                                 weights[0] * now.state.fields[e][i]
@@ -385,7 +375,7 @@ impl Flow<'_> {
             time += dt;
             sizes.push(dt);
             watch(time, &state)?;
-            let next = self.march.level(self.operators, state);
+            let next = self.march.level(state);
             let gone = std::mem::replace(&mut before, std::mem::replace(&mut now, next));
             earlier = (sizes.len() > 3).then_some((gone.state, step.last));
         }

@@ -9,40 +9,38 @@
 //! and N(f) = u . grad f gives its cotangent to u, f and the positions. States are kept at the ends of segments and made again
 //! within each, about as many segments as steps in one.
 
-use super::equations::{Bar, Condition, State, CARRIED};
-use super::fit::Coefficients;
+use super::equations::{Bar, Condition, State};
 use super::steady::NoSteadyState;
-use super::unsteady::{InTime, Level, March, Step};
+use super::unsteady::{InTime, Level, Scheme, Step};
 
 /// A flow whose steps have been taken.
-pub struct Taken<'a> {
-    pub operators: &'a Coefficients,
-    /// `[2][N]`.
-    pub position: &'a [Vec<f64>; 2],
-    pub boundary: &'a dyn InTime,
+pub struct Taken<'a, const D: usize, const F: usize, const C: usize> {
+    /// `[D][N]`.
+    pub position: &'a [Vec<f64>; D],
+    pub boundary: &'a dyn InTime<D, F, C>,
     pub flow_rate: Option<f64>,
-    pub first: &'a State,
+    pub first: &'a State<F>,
     pub sizes: &'a [f64],
     /// Adds the cotangents of the flow rate times a number to a bar, for one that is held.
-    pub flow_rate_back: &'a dyn Fn(&State, f64, &mut Bar),
+    pub flow_rate_back: &'a dyn Fn(&State<F>, f64, &mut Bar<D, F, C>),
 }
 
 /// Cotangents of all that a flow depends on.
-pub struct Cotangents {
+pub struct Cotangents<const D: usize, const F: usize, const C: usize> {
     /// Of the positions; of the boundary's numbers only if these do not change with time.
-    pub bar: Bar,
-    pub position: [Vec<f64>; 2],
+    pub bar: Bar<D, F, C>,
+    pub position: [Vec<f64>; D],
     pub parameters: Vec<f64>,
 }
 
-/// Cotangents of a state's fields u, v, p, T and of its advection.
+/// Cotangents of a state's fields and of its advection.
 #[derive(Clone)]
-struct Back {
-    fields: [Vec<f64>; 4],
-    advection: Vec<[f64; 3]>,
+struct Back<const F: usize> {
+    fields: [Vec<f64>; F],
+    advection: Vec<[f64; F]>,
 }
 
-impl Taken<'_> {
+impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
     fn step(&self, k: usize) -> Step {
         Step::after(&self.sizes[..k], self.sizes[k])
     }
@@ -50,19 +48,19 @@ impl Taken<'_> {
     /// The levels after steps `from` ... `to`, given those before them.
     fn levels(
         &self,
-        march: &mut March,
+        march: &mut impl Scheme<D, F, C>,
         (from, to): (usize, usize),
         times: &[f64],
-        usual: &[Condition],
-        start: [Level; 2],
-    ) -> Result<Vec<Level>, NoSteadyState> {
+        usual: &[Condition<D>],
+        start: [Level<F>; 2],
+    ) -> Result<Vec<Level<F>>, NoSteadyState> {
         let [before, now] = start;
         let mut all = vec![before, now];
         for k in from..to {
             let conditions = self.boundary.at(times[k], usual);
             let [before, now] = [&all[all.len() - 2], &all[all.len() - 1]];
-            let state = march.step(self.step(k), now, before, &conditions, self.flow_rate, self.operators)?;
-            all.push(march.level(self.operators, state));
+            let state = march.step(self.step(k), now, before, &conditions, self.flow_rate)?;
+            all.push(march.level(state));
         }
         Ok(all)
     }
@@ -70,16 +68,15 @@ impl Taken<'_> {
     /// Cotangents of a sum of figures: `figures` adds those of the moment after step k to a bar.
     ///
     /// # Errors
-    /// A matrix without factors.
+    /// A matrix without factors, or iterations that do not converge.
     pub fn pull_back(
         &self,
-        march: &mut March,
-        figures: &mut dyn FnMut(usize, &State, &mut Bar),
+        march: &mut impl Scheme<D, F, C>,
+        figures: &mut dyn FnMut(usize, &State<F>, &mut Bar<D, F, C>),
         parameters: usize,
-    ) -> Result<Cotangents, NoSteadyState> {
-        let (n, inside) = (march.equations().particles(), march.equations().inside);
-        let (count, steps) = (march.equations().conditions.len(), self.sizes.len());
-        let has_heat = march.equations().diffusivity.is_some();
+    ) -> Result<Cotangents<D, F, C>, NoSteadyState> {
+        let (n, inside, count) = (march.particles(), march.inside(), march.boundary());
+        let (steps, size, has_heat) = (self.sizes.len(), D + 1, march.has_heat());
         let mut times = vec![];
         self.sizes.iter().fold(0.0, |time, dt| {
             times.push(time + dt);
@@ -88,7 +85,7 @@ impl Taken<'_> {
         let usual = self.boundary.conditions(0.0);
         let length = ((steps as f64).sqrt().ceil() as usize).max(1);
         // The states at the beginnings of segments, and those before them.
-        let mut kept: Vec<[Level; 2]> = vec![[Level::default(), march.level(self.operators, self.first.clone())]];
+        let mut kept: Vec<[Level<F>; 2]> = vec![[Level::none(), march.level(self.first.clone())]];
         for from in (0..steps).step_by(length) {
             let to = (from + length).min(steps);
             let start = kept[kept.len() - 1].clone();
@@ -96,7 +93,7 @@ impl Taken<'_> {
             kept.push([levels[levels.len() - 2].clone(), levels[levels.len() - 1].clone()]);
         }
         kept.pop();
-        let zero = Back { fields: std::array::from_fn(|_| vec![0.0; n]), advection: vec![[0.0; 3]; inside] };
+        let zero = Back { fields: std::array::from_fn(|_| vec![0.0; n]), advection: vec![[0.0; F]; inside] };
         let mut found = Cotangents {
             bar: Bar::new(n, count),
             position: std::array::from_fn(|_| vec![0.0; n]),
@@ -112,43 +109,37 @@ impl Taken<'_> {
                 let mut bar = Bar::new(n, count);
                 figures(k, state, &mut bar);
                 self.of_level(march, state, &now, &mut bar);
-                let mut right: Vec<Vec<f64>> = march.equations().by_fields(self.operators, &bar).to_vec();
+                let mut right = march.by_fields(&bar);
                 right.iter_mut().zip(&now.fields).for_each(|(all, own)| {
                     all.iter_mut().zip(own).for_each(|(all, own)| *all += own);
                 });
                 let (r, [a0, a1, a2]) = self.step(k).weights();
-                let drive = bar.drive;
-                let y = march.transposed(a0, self.operators, &right, drive)?;
+                let y = march.solve_flow(a0, &self.of_flow(march, &right, bar.drive), None)?;
                 let mut earlier = zero.clone();
                 let mut heat = vec![];
-                let by = march.equations().buoyancy.map_or([0.0; 3], |buoyancy| buoyancy.by);
+                let by = march.buoyancy().map_or([0.0; 3], |buoyancy| buoyancy.by);
                 if has_heat {
-                    let mut right_t = std::mem::take(&mut right[3]);
+                    let mut right_t = std::mem::take(&mut right[D + 1]);
                     for i in 0..inside {
-                        right_t[i] += by[0] * y[3 * i] + by[1] * y[3 * i + 1];
+                        right_t[i] += (0..D).map(|e| by[e] * y[size * i + e]).sum::<f64>();
                     }
-                    heat = march.transposed_heat(a0, self.operators, &right_t)?;
+                    heat = march.solve_heat(a0, &right_t, None)?;
                 }
-                for i in 0..inside {
-                    for f in 0..3 {
-                        let y = match f {
-                            2 if has_heat => heat[i],
-                            2 => continue,
-                            _ => y[3 * i + f],
-                        };
-                        let field = CARRIED[f];
+                for field in march.carried() {
+                    for i in 0..inside {
+                        let y = if field < D { y[size * i + field] } else { heat[i] };
                         before.fields[field][i] += a1 * y;
-                        before.advection[i][f] -= (1.0 + r) * y;
+                        before.advection[i][field] -= (1.0 + r) * y;
                         earlier.fields[field][i] -= a2 * y;
-                        earlier.advection[i][f] += r * y;
+                        earlier.advection[i][field] += r * y;
                     }
                 }
                 // What the matrices know of positions and walls.
-                let against: Vec<f64> = y[..3 * n].iter().map(|y| -y).collect();
+                let against: Vec<f64> = y[..size * n].iter().map(|y| -y).collect();
                 let against_heat: Vec<f64> = heat.iter().map(|y| -y).collect();
-                let d = march.equations().derivatives_at(self.operators, state, &[]);
+                let d = march.boundary_derivatives(state);
                 let heat = has_heat.then_some(against_heat.as_slice());
-                march.equations().pull_back_linear(&d, &against, heat, &mut bar);
+                march.pull_back_linear(a0, &d, &against, heat, &mut bar);
                 if let (Some(_), Some(multiplier)) = (self.flow_rate, y.last()) {
                     // The held flow rate depends on positions too.
                     (self.flow_rate_back)(state, -multiplier, &mut bar);
@@ -160,8 +151,8 @@ impl Taken<'_> {
         // The state at the start: what it is inside is given; on walls it is what these are.
         let mut bar = Bar::new(n, count);
         self.of_level(march, self.first, &now, &mut bar);
-        let fields = march.equations().by_fields(self.operators, &bar);
-        let total: [Vec<f64>; 4] =
+        let fields = march.by_fields(&bar);
+        let total: [Vec<f64>; F] =
             std::array::from_fn(|f| fields[f].iter().zip(&now.fields[f]).map(|(a, b)| a + b).collect());
         self.boundary.of_start(&total, &mut bar, &mut found.position);
         self.gather(march, 0.0, self.first, bar, &mut found);
@@ -172,25 +163,40 @@ impl Taken<'_> {
         Ok(found)
     }
 
+    /// A right-hand side of the transposed flow, given the cotangents of the fields and of the drive.
+    fn of_flow(&self, march: &impl Scheme<D, F, C>, fields: &[Vec<f64>; F], drive: f64) -> Vec<f64> {
+        let n = march.particles();
+        let mut right: Vec<f64> = (0..n).flat_map(|i| (0..=D).map(move |f| fields[f][i])).collect();
+        let [pins, drives] = march.extra();
+        right.extend(pins.then_some(0.0));
+        right.extend(drives.then_some(drive));
+        right
+    }
+
     /// The cotangent of a level's advection, in those of its derivatives and fields.
-    fn of_level(&self, march: &March, state: &State, back: &Back, bar: &mut Bar) {
-        let [u, v, ..] = &state.fields;
-        let slopes = march.equations().carried_slopes(self.operators, state);
-        for (i, advection) in back.advection.iter().enumerate() {
-            for (f, slopes) in slopes.iter().enumerate() {
-                let weight = advection[f];
-                let field = CARRIED[f];
-                bar.fields[0][i] += weight * slopes[i][0];
-                bar.fields[1][i] += weight * slopes[i][1];
-                bar.derivatives.0[field][i][0] += weight * u[i];
-                bar.derivatives.0[field][i][1] += weight * v[i];
+    fn of_level(&self, march: &impl Scheme<D, F, C>, state: &State<F>, back: &Back<F>, bar: &mut Bar<D, F, C>) {
+        let slopes = march.carried_slopes(state);
+        for (slopes, field) in slopes.iter().zip(march.carried()) {
+            for (i, advection) in back.advection.iter().enumerate() {
+                let weight = advection[field];
+                for e in 0..D {
+                    bar.fields[e][i] += weight * slopes[i][e];
+                    bar.derivatives.0[field][i][e] += weight * state.fields[e][i];
+                }
             }
         }
     }
 
     /// Adds what a moment's bar says of positions and walls.
-    fn gather(&self, march: &March, time: f64, state: &State, bar: Bar, found: &mut Cotangents) {
-        let positions = march.equations().by_positions(self.position, state, &bar);
+    fn gather(
+        &self,
+        march: &impl Scheme<D, F, C>,
+        time: f64,
+        state: &State<F>,
+        bar: Bar<D, F, C>,
+        found: &mut Cotangents<D, F, C>,
+    ) {
+        let positions = march.by_positions(self.position, state, &bar);
         for (to, from) in found.position.iter_mut().zip(&positions) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
         }
@@ -198,13 +204,14 @@ impl Taken<'_> {
             self.boundary.pull_back(time, &bar, &mut found.position, &mut found.parameters);
         }
         for (to, from) in found.bar.boundary.iter_mut().zip(&bar.boundary) {
-            for e in 0..2 {
+            for e in 0..D {
                 to.normal[e] += from.normal[e];
                 to.area[e] += from.area[e];
                 to.velocity[e] += from.velocity[e];
             }
             to.temperature += from.temperature;
         }
+        found.bar.volume += bar.volume;
         found.bar.numbers.extend(&bar.numbers);
     }
 }

@@ -61,7 +61,7 @@ pub struct Channel {
 #[derive(Debug)]
 pub struct OverRelief {
     pub channel: Channel,
-    fits: Fits,
+    fits: Arc<Fits>,
     ends: Vec<Option<End>>,
     /// Of up to [`FACTORISED`] particles.
     order: Option<Arc<Order>>,
@@ -114,7 +114,7 @@ impl OverRelief {
         // Seen from the side, across the shortest direction.
         let order = || Arc::new(Order::new(&stencils.matrix(FLOW), |i| [places[i][0], places[i][1]]));
         let order = (places.len() <= FACTORISED).then(order);
-        Self { fits: Fits::of_one(stencils), ends, order, row_weights: row_weights(rows), channel }
+        Self { fits: Arc::new(Fits::of_one(stencils)), ends, order, row_weights: row_weights(rows), channel }
     }
 
     pub fn particles(&self) -> usize {
@@ -152,11 +152,12 @@ impl OverRelief {
             viscosity: nu,
             diffusivity: Some(channel.diffusivity),
             force: [channel.force, 0.0, 0.0],
+            buoyancy: None,
             damping: vec![2.0 / (4.0 * nu / (h * h) + 1.4 * channel.velocity / h); n],
             inside,
             conditions: (0..2 * columns).map(condition).collect(),
             ends: self.ends.clone(),
-            fits: self.fits.clone(),
+            fits: Arc::clone(&self.fits),
         };
         let height = channel.height();
         let opening: Vec<f64> =

@@ -31,7 +31,7 @@ pub fn told(why: &NoSteadyState) -> String {
             )
         }
         NoSteadyState::Adjoint => "the transposed equations of the steady flow are not solved".into(),
-        NoSteadyState::Singular | NoSteadyState::Unbounded { .. } => {
+        NoSteadyState::Singular | NoSteadyState::Unsolved | NoSteadyState::Unbounded { .. } => {
             "the equations of the steady flow are singular".into()
         }
     }

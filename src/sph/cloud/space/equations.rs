@@ -3,15 +3,19 @@
 //! As in the plane ([`super::super::equations`]), with u, v, w, p and T at every particle:
 //!
 //! ```text
-//!   momentum      u . grad u + grad p - nu lap u - f = 0        inside; u given on walls
-//!   continuity    div u - tau S p + lambda = 0                  everywhere but where p is given
-//!   heat          u . grad T - alpha lap T = 0                  inside; T or the flux given on walls.
+//!   momentum      u . grad u + grad p - nu lap u - f - b (T - T0) = 0      inside; u given on walls
+//!   continuity    div u - tau S p + lambda = 0                             everywhere but where p is given
+//!   heat          u . grad T - alpha lap T = 0                             inside; T or the flux given on walls.
 //! ```
+//!
+//! b (T - T0) is [buoyancy](crate::sph::laws::buoyancy).
 
-use super::super::equations::Warmth;
+use super::super::equations::{self, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::fits::Fits;
 use crate::sph::consistent::stencil::quadratic;
+use crate::sph::laws::buoyancy::Buoyancy;
+use std::sync::Arc;
 
 /// Index of the pressure and of the temperature among the fields.
 pub const PRESSURE: usize = 3;
@@ -20,25 +24,6 @@ pub const TEMPERATURE: usize = 4;
 pub const FLOW: usize = 4;
 /// Weight of S T beside the derivative across a wall, in scales of the fit.
 const SMOOTHING: f64 = 1.0;
-
-/// The velocity at a point of the boundary.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Motion {
-    Given([f64; 3]),
-    /// No flow along direction d, and no derivative along it of the other components.
-    Symmetry(usize),
-    /// No derivative along direction d, and p = 0.
-    Outflow(usize),
-}
-
-/// What holds at a point of the boundary.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Condition {
-    pub motion: Motion,
-    pub warmth: Warmth,
-    /// Unit normal into the fluid.
-    pub normal: [f64; 3],
-}
 
 /// Where the temperature of a particle does not follow from conduction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,27 +35,18 @@ pub enum End {
 }
 
 /// u, v, w, p, T of all particles, and the two numbers of the whole flow.
-#[derive(Debug, Clone, PartialEq)]
-pub struct State {
-    pub fields: [Vec<f64>; 5],
-    /// The rest of continuity, and the acceleration along x that a drive adds.
-    pub lambda: f64,
-    pub drive: f64,
-}
+pub type State = equations::State<5>;
+pub type Motion = equations::Motion<3>;
+pub type Condition = equations::Condition<3>;
+/// Derivatives of u, v, w, p, T at all particles.
+pub type Derivatives = equations::Derivatives<5, C>;
+pub type Bar = equations::Bar<3, 5, C>;
 
 impl State {
-    pub fn at_rest(particles: usize) -> Self {
-        Self { fields: std::array::from_fn(|_| vec![0.0; particles]), lambda: 0.0, drive: 0.0 }
-    }
-
     pub fn velocity(&self, i: usize) -> [f64; 3] {
         std::array::from_fn(|d| self.fields[d][i])
     }
 }
-
-/// Derivatives of u, v, w, p, T at all particles.
-#[derive(Debug, Clone)]
-pub struct Derivatives(pub [Vec<[f64; C]>; 5]);
 
 /// The materials, forces and conditions of a flow at fixed particles.
 #[derive(Debug, Clone)]
@@ -78,13 +54,14 @@ pub struct Equations {
     pub viscosity: f64,
     pub diffusivity: Option<f64>,
     pub force: [f64; 3],
+    pub buoyancy: Option<Buoyancy>,
     /// tau of each particle.
     pub damping: Vec<f64>,
     pub inside: usize,
     pub conditions: Vec<Condition>,
     /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
     pub ends: Vec<Option<End>>,
-    pub fits: Fits,
+    pub fits: Arc<Fits>,
 }
 
 /// The sum of the second derivatives.
@@ -127,7 +104,25 @@ impl Equations {
                 }
             }
         };
-        Derivatives(std::array::from_fn(of))
+        equations::Derivatives(std::array::from_fn(of))
+    }
+
+    /// Derivatives at the boundary and at some particles more; zeros at the others.
+    pub fn derivatives_at(&self, operators: &Coefficients<C>, state: &State, more: &[usize]) -> Derivatives {
+        let mut d = Derivatives::zeros(self.particles());
+        for f in (0..5).filter(|&f| f < TEMPERATURE || self.diffusivity.is_some()) {
+            for i in (self.inside..self.particles()).chain(more.iter().copied()) {
+                d.0[f][i] = operators.derivatives(&self.fits.all, i, &state.fields[f]);
+            }
+        }
+        d
+    }
+
+    /// The slopes along x, y and z of the velocity and, with heat, of T at particles inside.
+    pub fn carried_slopes(&self, operators: &Coefficients<C>, state: &State) -> Vec<Vec<[f64; 3]>> {
+        let [u, v, w, _, t] = &state.fields;
+        let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, w, t] } else { &[u, v, w] };
+        operators.slopes(&self.fits.all, fields, self.inside)
     }
 
     /// The acceleration that drives the fluid.
@@ -144,7 +139,11 @@ impl Equations {
             row[PRESSURE] = divergence - self.damping[i] * dp[LEFT] + state.lambda;
             for e in 0..3 {
                 row[e] = match self.condition(i).map(|condition| condition.motion) {
-                    None => dot(u, &d.0[e][i]) + dp[e] - self.viscosity * laplacian(&d.0[e][i]) - self.push(state, e),
+                    None => {
+                        let lift = self.buoyancy.map_or(0.0, |b| b.along(e, state.fields[TEMPERATURE][i]));
+                        let carried = dot(u, &d.0[e][i]) - self.viscosity * laplacian(&d.0[e][i]);
+                        carried + dp[e] - self.push(state, e) - lift
+                    }
                     Some(Motion::Given(given)) => u[e] - given[e],
                     Some(Motion::Symmetry(along)) if along == e => u[e],
                     Some(Motion::Symmetry(along) | Motion::Outflow(along)) => d.0[e][i][along],
@@ -180,8 +179,21 @@ impl Equations {
 
     /// The cotangents of derivatives and boundary, given those of the residuals: `flow` `[N, 4]`, `heat` `[N]`, added to `bar`.
     pub fn pull_back(&self, state: &State, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
+        self.pull_back_linear(d, flow, heat, bar);
+        for i in 0..self.inside {
+            let u = state.velocity(i);
+            let heat = heat.filter(|_| self.diffusivity.is_some() && self.end(i).is_none());
+            let rows = (0..3).map(|e| (e, flow[FLOW * i + e])).chain(heat.map(|heat| (TEMPERATURE, heat[i])));
+            for (f, row) in rows {
+                (0..3).for_each(|along| bar.derivatives.0[f][i][along] += u[along] * row);
+            }
+        }
+    }
+
+    /// The same without what the flow carries.
+    pub fn pull_back_linear(&self, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
         for i in 0..self.particles() {
-            let (u, row) = (state.velocity(i), &flow[FLOW * i..FLOW * (i + 1)]);
+            let row = &flow[FLOW * i..FLOW * (i + 1)];
             let motion = self.condition(i).map(|condition| condition.motion);
             if !matches!(motion, Some(Motion::Outflow(_))) {
                 (0..3).for_each(|e| bar.derivatives.0[e][i][e] += row[PRESSURE]);
@@ -191,7 +203,6 @@ impl Equations {
                 match motion {
                     None => {
                         let to = &mut bar.derivatives.0[e][i];
-                        (0..3).for_each(|along| to[along] += u[along] * row[e]);
                         (0..3).for_each(|a| to[quadratic(3, a, a)] -= self.viscosity * row[e]);
                         bar.derivatives.0[PRESSURE][i][e] += row[e];
                     }
@@ -205,10 +216,7 @@ impl Equations {
             let (Some(heat), Some(alpha), None) = (heat, self.diffusivity, self.end(i)) else { continue };
             let to = &mut bar.derivatives.0[TEMPERATURE][i];
             match self.condition(i) {
-                None => {
-                    (0..3).for_each(|along| to[along] += u[along] * heat[i]);
-                    (0..3).for_each(|a| to[quadratic(3, a, a)] -= alpha * heat[i]);
-                }
+                None => (0..3).for_each(|a| to[quadratic(3, a, a)] -= alpha * heat[i]),
                 Some(Condition { warmth: Warmth::Given(_), .. }) => {
                     bar.boundary[i - self.inside].temperature -= heat[i];
                 }
@@ -249,40 +257,5 @@ impl Equations {
         let fields: Vec<&[f64]> = state.fields[..count].iter().map(Vec::as_slice).collect();
         self.fits.pull_back(position, &fields, &bar.derivatives.0[..count], &mut found);
         found
-    }
-}
-
-/// Cotangents of a point of the boundary: of its given velocity, its given temperature or flux, its unit normal, and of normal times
-/// area.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct BoundaryBar {
-    pub velocity: [f64; 3],
-    pub temperature: f64,
-    pub normal: [f64; 3],
-    pub area: [f64; 3],
-}
-
-/// Cotangents of all that depends on the shape, and of the state.
-#[derive(Debug, Clone)]
-pub struct Bar {
-    pub derivatives: Derivatives,
-    pub boundary: Vec<BoundaryBar>,
-    pub position: [Vec<f64>; 3],
-    pub fields: [Vec<f64>; 5],
-    pub drive: f64,
-    /// Of the volume of the fluid.
-    pub volume: f64,
-}
-
-impl Bar {
-    pub fn new(particles: usize, boundary: usize) -> Self {
-        Self {
-            derivatives: Derivatives(std::array::from_fn(|_| vec![[0.0; C]; particles])),
-            boundary: vec![BoundaryBar::default(); boundary],
-            position: std::array::from_fn(|_| vec![0.0; particles]),
-            fields: std::array::from_fn(|_| vec![0.0; particles]),
-            drive: 0.0,
-            volume: 0.0,
-        }
     }
 }

@@ -11,6 +11,8 @@ use super::super::nearest::Nearest;
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
+use super::surface::Surface;
+use crate::config::custom::Part;
 use crate::numerics::sparse_lu::dot as product;
 use crate::sph::consistent::stencil::{monomials, quadratic};
 
@@ -31,8 +33,11 @@ pub struct Measures {
     points: Vec<Vec<usize>>,
     /// Parts of the sides of the box: boundary point, and normal into the fluid times area.
     rest: Vec<(usize, [f64; 3])>,
-    /// Share of each shape in what balance and surface differ by.
+    /// Share of each shape in what balance and surface differ by; 0 where there is no balance.
     share: Vec<f64>,
+    /// Of each shape the numbers that are the x and y of its centre, and the middle of its points where there are none.
+    centre_numbers: Vec<[Option<usize>; 2]>,
+    centre: Vec<[f64; 3]>,
     inside: usize,
     size: [f64; 3],
     periodic_x: bool,
@@ -42,6 +47,8 @@ pub struct Measures {
 pub struct At<'a> {
     pub equations: &'a Equations,
     pub shaped: &'a Shaped,
+    /// What holds on the boundary at the time of the state.
+    pub conditions: &'a [Condition],
     pub state: &'a State,
     pub d: &'a Derivatives,
 }
@@ -53,8 +60,9 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 const Q: usize = monomials(3);
 
 impl Measures {
-    /// `probes`: points at which fields are figures.
-    pub fn new(cloud: &Cloud, probes: &[[f64; 3]]) -> Self {
+    /// `probes`: points at which fields are figures; `balances`: whether forces and heat of shapes are those that a steady flow
+    /// balances, and not those of their surfaces.
+    pub fn new(cloud: &Cloud, probes: &[[f64; 3]], balances: bool) -> Self {
         let (region, places) = (cloud.ground.region, &cloud.places);
         let shapes = cloud.ground.surfaces.len();
         let mut points = vec![vec![]; shapes];
@@ -80,7 +88,7 @@ impl Measures {
         };
         let areas: Vec<f64> = (0..shapes).map(area).collect();
         let total: f64 = areas.iter().sum();
-        let share = areas.iter().map(|area| area / total).collect();
+        let share = areas.iter().map(|area| if balances { area / total } else { 0.0 }).collect();
         let near = Nearest::new(region, cloud.ground.dx, &places.place);
         let sample = |p: [f64; 3], weight: f64| {
             let (_, particle) = near.one(p, 3.0 * cloud.ground.dx)?;
@@ -118,7 +126,15 @@ impl Measures {
         let probes =
             probes.iter().map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 })).collect();
         let (inside, size, periodic_x) = (places.inside, region.size, region.periodic[0]);
-        Self { section, probes, points, rest, share, inside, size, periodic_x }
+        let number = |surface: &Surface, d: usize| surface.parts.iter().position(|part| *part == Part::Centre(d));
+        let centre_numbers = cloud.ground.surfaces.iter().map(|surface| [0, 1].map(|d| number(surface, d))).collect();
+        let centre = cloud.centre.clone();
+        Self { section, probes, points, rest, share, centre_numbers, centre, inside, size, periodic_x }
+    }
+
+    /// Particles at which figures need derivatives, beside those of the boundary.
+    pub fn read_at(&self) -> Vec<usize> {
+        self.section.iter().chain(&self.probes).map(|sample| sample.particle).collect()
     }
 
     /// The Taylor polynomial's monomials from a sample's particle to its place.
@@ -178,7 +194,7 @@ impl Measures {
     fn warmth(&self, at: &At<'_>, k: usize, a: [f64; 3]) -> f64 {
         let (i, alpha) = (self.inside + k, at.equations.diffusivity.unwrap_or(0.0));
         let carried = at.state.fields[TEMPERATURE][i] * dot(at.state.velocity(i), a);
-        if let Warmth::Flux(flux) = at.shaped.conditions[k].warmth {
+        if let Warmth::Flux(flux) = at.conditions[k].warmth {
             return carried + flux * dot(a, a).sqrt();
         }
         let slope: [f64; 3] = std::array::from_fn(|b| at.d.0[TEMPERATURE][i][b]);
@@ -191,7 +207,7 @@ impl Measures {
         bar.fields[TEMPERATURE][i] += weight * dot(u, a);
         let mut area = [0.0; 3];
         (0..3).for_each(|b| bar.fields[b][i] += weight * t * a[b]);
-        if let Warmth::Flux(flux) = at.shaped.conditions[k].warmth {
+        if let Warmth::Flux(flux) = at.conditions[k].warmth {
             let size = dot(a, a).sqrt();
             bar.boundary[k].temperature += weight * size;
             return std::array::from_fn(|b| weight * (t * u[b] + flux * a[b] / size));
@@ -201,6 +217,20 @@ impl Measures {
             area[b] = weight * (t * u[b] - alpha * at.d.0[TEMPERATURE][i][b]);
         }
         area
+    }
+
+    /// Where a point of a shape is from the line along z through the shape's centre.
+    fn arm(&self, at: &At<'_>, shape: usize, k: usize) -> [f64; 2] {
+        std::array::from_fn(|d| {
+            let number = self.centre_numbers[shape][d].map(|n| at.shaped.numbers[shape][n]);
+            at.shaped.position[d][self.inside + k] - number.unwrap_or(self.centre[shape][d])
+        })
+    }
+
+    /// The torque at a point of a shape around that line.
+    fn turn(&self, at: &At<'_>, shape: usize, k: usize) -> f64 {
+        let ([x, y], area) = (self.arm(at, shape, k), at.shaped.area[k]);
+        x * self.push(at, k, area, 1) - y * self.push(at, k, area, 0)
     }
 
     /// A shape's force along e by its surface alone.
@@ -224,10 +254,15 @@ impl Measures {
         -self.rest.iter().map(|&(k, area)| self.warmth(at, k, area)).sum::<f64>()
     }
 
+    /// Whether balance tells the force of shapes: of a steady flow without buoyancy, whose sum over the fluid is not known.
+    fn balances_force(&self, at: &At<'_>, shape: usize) -> bool {
+        self.share[shape] != 0.0 && at.equations.buoyancy.is_none()
+    }
+
     /// Whether balance tells the heat of shapes: the sides let heat through.
-    fn balances_heat(&self, at: &At<'_>) -> bool {
-        self.rest.iter().any(|&(k, _)| {
-            let Condition { motion, warmth, .. } = at.shaped.conditions[k];
+    fn balances_heat(&self, at: &At<'_>, shape: usize) -> bool {
+        self.share[shape] != 0.0 && self.rest.iter().any(|&(k, _)| {
+            let Condition { motion, warmth, .. } = at.conditions[k];
             matches!(motion, Motion::Outflow(_)) || !matches!(warmth, Warmth::Flux(0.0))
         })
     }
@@ -239,7 +274,7 @@ impl Measures {
 
     /// 0 for a point where fluid enters, 1 where it leaves; none on walls.
     fn end_of(at: &At<'_>, k: usize, a: [f64; 3]) -> Option<usize> {
-        match at.shaped.conditions[k].motion {
+        match at.conditions[k].motion {
             Motion::Outflow(_) => Some(1),
             Motion::Given(u) => {
                 let through = dot(u, a);
@@ -267,13 +302,14 @@ impl Measures {
                 .iter()
                 .map(|s| s.weight * Self::sampled(s, at, 0) * Self::sampled(s, at, TEMPERATURE))
                 .sum(),
+            Figure::Force { shape, along } if !self.balances_force(at, shape) => self.surface_force(at, shape, along),
             Figure::Force { shape, along } => {
                 let all: f64 = shapes.map(|body| self.surface_force(at, body, along)).sum();
                 self.surface_force(at, shape, along) + self.share[shape] * (self.balanced_force(at, along) - all)
             }
             Figure::Heat { shape } => {
                 let own = self.surface_heat(at, shape);
-                if !self.balances_heat(at) {
+                if !self.balances_heat(at, shape) {
                     return own;
                 }
                 let all: f64 = shapes.map(|body| self.surface_heat(at, body)).sum();
@@ -284,8 +320,9 @@ impl Measures {
             Figure::PressureDrop => {
                 self.ends(at).iter().map(|(k, weight)| weight * at.state.fields[PRESSURE][self.inside + k]).sum()
             }
-            // Of these there are none in space, see `config`.
-            Figure::Torque { .. } | Figure::Dissipation => f64::NAN,
+            Figure::Torque { shape } => self.points[shape].iter().map(|&k| self.turn(at, shape, k)).sum(),
+            // There is none in space, see `config`.
+            Figure::Dissipation => f64::NAN,
         }
     }
 
@@ -311,6 +348,9 @@ impl Measures {
                     }
                 };
                 of_body(shape, weight, bar);
+                if !self.balances_force(at, shape) {
+                    return;
+                }
                 let share = weight * self.share[shape];
                 shapes.for_each(|body| of_body(body, -share, bar));
                 for &(k, area) in &self.rest {
@@ -329,7 +369,7 @@ impl Measures {
                     }
                 };
                 of_body(shape, weight, bar);
-                if !self.balances_heat(at) {
+                if !self.balances_heat(at, shape) {
                     return;
                 }
                 let share = weight * self.share[shape];
@@ -345,7 +385,23 @@ impl Measures {
                     bar.fields[PRESSURE][self.inside + k] += weight * share;
                 }
             }
-            Figure::Torque { .. } | Figure::Dissipation => bar.drive = f64::NAN,
+            Figure::Torque { shape } => {
+                for &k in &self.points[shape] {
+                    let [x, y] = self.arm(at, shape, k);
+                    let (i, area) = (self.inside + k, at.shaped.area[k]);
+                    let push = [self.push(at, k, area, 0), self.push(at, k, area, 1)];
+                    for (e, arm) in [(1, x), (0, -y)] {
+                        let by_area = self.push_back(at, k, area, e, weight * arm, bar);
+                        (0..3).for_each(|d| bar.boundary[k].area[d] += by_area[d]);
+                    }
+                    bar.position[0][i] += weight * push[1];
+                    bar.position[1][i] -= weight * push[0];
+                    let [of_x, of_y] = self.centre_numbers[shape];
+                    bar.numbers.extend(of_x.map(|n| (shape, n, -weight * push[1])));
+                    bar.numbers.extend(of_y.map(|n| (shape, n, weight * push[0])));
+                }
+            }
+            Figure::Dissipation => bar.drive = f64::NAN,
         }
     }
 }
@@ -356,17 +412,22 @@ pub struct Rate<'a> {
     pub shaped: &'a Shaped,
 }
 
+impl Rate<'_> {
+    fn at<'a>(&'a self, equations: &'a Equations, state: &'a State, d: &'a Derivatives) -> At<'a> {
+        At { equations, shaped: self.shaped, conditions: &self.shaped.conditions, state, d }
+    }
+}
+
 impl FlowRate for Rate<'_> {
     fn value(&self, equations: &Equations, state: &State, d: &Derivatives) -> f64 {
-        self.measures.value(Figure::FlowRate, &At { equations, shaped: self.shaped, state, d })
+        self.measures.value(Figure::FlowRate, &self.at(equations, state, d))
     }
 
     fn by_state(&self, equations: &Equations, operators: &Coefficients<C>) -> Vec<f64> {
         let n = equations.particles();
         let mut bar = Bar::new(n, self.shaped.area.len());
         let (state, d) = (State::at_rest(n), Bar::new(n, 0).derivatives);
-        let at = At { equations, shaped: self.shaped, state: &state, d: &d };
-        self.measures.pull_back(Figure::FlowRate, &at, 1.0, &mut bar);
+        self.measures.pull_back(Figure::FlowRate, &self.at(equations, &state, &d), 1.0, &mut bar);
         let fields = equations.by_fields(operators, &bar);
         (0..4 * n).map(|k| fields[k % 4][k / 4]).collect()
     }

@@ -9,6 +9,8 @@
 //!
 //! X is near the Schur complement S - D K^-1 G: of a slow flow this is an operator near 1 / nu, and of others the slopes nearly commute
 //! with K, "pressure convection-diffusion" (Silvester and Wathen 1994; Kay, Loghin and Wathen 2002; Elman, Silvester and Wathen 2014).
+//! A step in time has K = a0 / dt - nu lap, and with it X^-1 = nu - a0 / dt (lap + a0 / dt tau S)^-1 (Cahouet and Chabard 1988; tau S, which
+//! damps the pressure, is not small there beside the Laplacian).
 //!
 //! K^-1 and lap^-1 are GMRES again with incomplete factors, to a tenth; so the outer iteration is a flexible one (Saad 1993). A pair of particles
 //! has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
@@ -51,22 +53,33 @@ pub struct Linear {
     /// Each particle's own block, row by row.
     own: Vec<[[f64; FLOW]; FLOW]>,
     viscosity: f64,
+    /// a0 / dt.
+    rate: f64,
     /// Whether the pressure is given at a particle.
     given: Vec<bool>,
     /// The velocity of particles inside, 0 at others; none of a flow at rest.
     velocity: Option<Vec<[f64; 3]>>,
     /// A Laplacian of positive weights, 4.8 / h^2 times the mean of f_j - f_i by the fits' W (whose mean of s^2 is 1.25). At walls, whose
-    /// neighbours are on one side, it is a slope. It only serves the preconditioner, where the fits' own would converge slowly.
+    /// neighbours are on one side, it is a slope. It only serves the preconditioner, where the fits' own would converge slowly. In steps in
+    /// time with a0 / dt tau S.
     laplace: BlockMatrix,
 }
 
 impl Linear {
-    pub fn new(equations: &Equations, state: &State, d: &Derivatives, operators: &Coefficients<C>) -> Self {
+    /// `rate`: a0 / dt of a step in time, of which `state` is one at rest; 0 of a steady flow.
+    pub fn new(
+        equations: &Equations,
+        state: &State,
+        d: &Derivatives,
+        operators: &Coefficients<C>,
+        rate: f64,
+    ) -> Self {
         let n = equations.particles();
         let (mut first, mut column, mut pairs) = (vec![0], vec![], vec![]);
         let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
         let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
-        let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.fits.all.matrix(1) };
+        let has_laplace = !is_at_rest || rate > 0.0;
+        let mut laplace = if has_laplace { equations.fits.all.matrix(1) } else { BlockMatrix::default() };
         for i in 0..n {
             let motion = equations.condition(i).map(|condition| condition.motion);
             let u = state.velocity(i);
@@ -87,14 +100,14 @@ impl Linear {
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
                 column.push(j as u32);
                 pairs.push(pair);
-                if !is_at_rest && !matches!(motion, Some(Motion::Outflow(_))) {
-                    let value = 4.8 * equations.fits.all.pair(i, k).1 / (weights * scale * scale);
+                if has_laplace && !matches!(motion, Some(Motion::Outflow(_))) {
+                    let value = 4.8 * equations.fits.all.pair(i, k).1 / (weights * scale * scale) - rate * pair[4];
                     let (entry, diagonal) = (laplace.entry(i, j as u32), laplace.entry(i, i as u32));
                     laplace.values[entry] += value;
                     laplace.values[diagonal] -= value;
                 }
             }
-            if !is_at_rest {
+            if has_laplace {
                 // Where no pressure is given, a constant is left; this is small beside all others.
                 let diagonal = laplace.entry(i, i as u32);
                 laplace.values[diagonal] -= match motion {
@@ -117,7 +130,10 @@ impl Linear {
                 block[e][PRESSURE] = take.pushes * sum[1 + e];
                 block[PRESSURE][e] = take.flows * sum[1 + e];
                 match motion {
-                    None => (0..3).for_each(|along| block[e][along] += d.0[e][i][along]),
+                    None => {
+                        block[e][e] += rate;
+                        (0..3).for_each(|along| block[e][along] += d.0[e][i][along]);
+                    }
                     Some(Motion::Given(_)) => block[e][e] = 1.0,
                     Some(Motion::Symmetry(along)) if along == e => block[e][e] = 1.0,
                     Some(_) => {}
@@ -131,7 +147,7 @@ impl Linear {
         let moving = |i: usize| if i < equations.inside { state.velocity(i) } else { [0.0; 3] };
         let velocity = (!is_at_rest).then(|| (0..n).map(moving).collect());
         let viscosity = equations.viscosity;
-        Self { transposed: false, first, column, pairs, takes, own, viscosity, given, velocity, laplace }
+        Self { transposed: false, first, column, pairs, takes, own, viscosity, rate, given, velocity, laplace }
     }
 
     fn particles(&self) -> usize {
@@ -158,7 +174,11 @@ impl Linear {
         }
         let turned = |block: &[[f64; FLOW]; FLOW]| std::array::from_fn(|a| std::array::from_fn(|b| block[b][a]));
         let own = self.own.iter().map(turned).collect();
-        Self { transposed: !self.transposed, first, column, pairs, own, ..self }
+        let mut laplace = self.laplace;
+        if self.rate > 0.0 {
+            laplace.transpose();
+        }
+        Self { transposed: !self.transposed, first, column, pairs, own, laplace, ..self }
     }
 
     /// y = A x of some particles.
@@ -281,9 +301,11 @@ impl Linear {
                 let diagonal = matrix.entry(from, from as u32);
                 matrix.values[diagonal] -= value;
             }
+            let diagonal = matrix.entry(i, i as u32);
             if self.takes[i].carries[component] == 0.0 {
-                let diagonal = matrix.entry(i, i as u32);
                 matrix.values[diagonal] = 1.0;
+            } else if self.takes[i].pushes > 0.0 {
+                matrix.values[diagonal] += self.rate;
             }
         }
         matrix
@@ -336,8 +358,8 @@ impl System {
             let factors = IncompleteLu::new(&matrix)?;
             carrying.push((matrix, factors));
         }
-        let velocity = linear.velocity.as_ref().filter(|_| whole.is_none());
-        let laplace = velocity.map(|_| IncompleteLu::new(&linear.laplace)).transpose()?;
+        let has_laplace = whole.is_none() && !linear.laplace.values.is_empty();
+        let laplace = has_laplace.then(|| IncompleteLu::new(&linear.laplace)).transpose()?;
         let solved = vec![];
         let mut system = Self { linear, columns, rows, corner, threads, carrying, which, laplace, solved, whole };
         system.solved = system.columns.iter().map(|column| system.inner(column)).collect();
@@ -348,10 +370,12 @@ impl System {
     pub fn bytes(&self) -> usize {
         let of = |(matrix, factors): &(BlockMatrix, IncompleteLu<1>)| 12 * matrix.values.len() + factors.bytes();
         let whole = self.whole.as_ref().map_or(0, SparseLu::bytes);
-        whole + 44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
+        let laplace = self.laplace.as_ref().map_or(0, |factors| 12 * self.linear.laplace.values.len() + factors.bytes());
+        whole + laplace + 44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
     }
 
-    fn times(&self, x: &[f64]) -> Vec<f64> {
+    /// A x, with its border.
+    pub fn times(&self, x: &[f64]) -> Vec<f64> {
         let (own, extra) = x.split_at(x.len() - self.columns.len());
         let mut y = self.linear.times(own, self.threads);
         for (column, e) in self.columns.iter().zip(extra) {
@@ -379,6 +403,7 @@ impl System {
                     (0..free.len()).map(|i| if linear.takes[i].pushes > 0.0 { free[i] } else { 0.0 }).collect();
                 linear.carried(velocity, &solved(&inside, factors))
             }
+            (None, Some(factors)) => solved(&free, factors).iter().map(|x| linear.rate * x).collect(),
             _ => vec![0.0; free.len()],
         };
         (0..free.len())
@@ -413,7 +438,8 @@ impl System {
         (0..n).flat_map(|i| [velocity[0][i], velocity[1][i], velocity[2][i], pressure[i]]).collect()
     }
 
-    fn precondition(&self, right: &[f64]) -> Vec<f64> {
+    /// An approximate solution, with the border.
+    pub(super) fn precondition(&self, right: &[f64]) -> Vec<f64> {
         let m = self.columns.len();
         let (own, extra) = right.split_at(right.len() - m);
         let mut x = self.inner(own);
@@ -428,12 +454,42 @@ impl System {
         x
     }
 
+    /// Multiplies the rows of continuity.
+    fn scale(&self, x: &mut [f64], by: f64) {
+        x[..FLOW * self.linear.particles()].chunks_exact_mut(FLOW).for_each(|row| row[PRESSURE] *= by);
+    }
+
+    /// The norm of a residual, in which rows of continuity count `weight` times.
+    fn norm(&self, x: &[f64], weight: f64) -> f64 {
+        let mut x = x.to_vec();
+        self.scale(&mut x, weight);
+        product(&x, &x).sqrt()
+    }
+
+    /// The solution from a first guess, to the part `tolerance` of the residual that `known` leaves; see [`Self::solve`]. `rounding`: the
+    /// part of the right-hand side that no iteration can improve on.
+    pub fn solve_from(
+        &self,
+        right: &[f64],
+        [first, known]: [&[f64]; 2],
+        (tolerance, rounding): (f64, f64),
+        weight: f64,
+        products: &mut usize,
+    ) -> Option<Vec<f64>> {
+        let rest = |x: &[f64]| -> Vec<f64> { right.iter().zip(self.times(x)).map(|(b, y)| b - y).collect() };
+        let left = rest(first);
+        let least = (tolerance * self.norm(&rest(known), weight)).max(rounding * self.norm(right, weight));
+        let now = self.norm(&left, weight);
+        if now <= least {
+            return Some(first.to_vec());
+        }
+        let change = self.solve(&left, least / now, weight, products)?;
+        Some(first.iter().zip(change).map(|(x, change)| x + change).collect())
+    }
+
     /// The solution to a relative residual, in which rows of continuity count `weight` times; adds the products that it took.
     pub fn solve(&self, right: &[f64], tolerance: f64, weight: f64, products: &mut usize) -> Option<Vec<f64>> {
-        let n = self.linear.particles();
-        let scaled = |x: &mut [f64], by: f64| {
-            x[..FLOW * n].chunks_exact_mut(FLOW).for_each(|row| row[PRESSURE] *= by);
-        };
+        let scaled = |x: &mut [f64], by: f64| self.scale(x, by);
         let count = std::cell::Cell::new(0);
         let times = |x: &[f64]| {
             count.set(count.get() + 1);

@@ -2,6 +2,7 @@
 //!
 //! Points on a surface follow it; the others follow by a harmonic map, see [`super::super::deformation`].
 
+use super::super::conditions::Conditions;
 use super::super::equations::Warmth;
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::{Nearest, Region};
@@ -13,6 +14,7 @@ use super::placing::{BoundaryPoint, Ground, Places};
 use super::steady::Scalar;
 use super::surface::OnSurface;
 use crate::sph::consistent::stencil::quadratic;
+use crate::sph::laws::buoyancy::Buoyancy;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -21,11 +23,15 @@ const REACH: f64 = 3.0;
 /// A particle is next to the boundary up to this distance, in its spacing.
 const NEXT_TO: f64 = 1.25;
 
-/// Velocity and temperature that points of the boundary have, by place.
+/// Velocity and temperature that points of the boundary have, by place and time.
 pub trait Surroundings: Debug + Send + Sync {
-    fn condition(&self, point: &BoundaryPoint, place: [f64; 3], numbers: &[Vec<f64>]) -> (Motion, Warmth);
+    fn condition(&self, point: &BoundaryPoint, place: [f64; 3], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth);
     /// Whether conditions depend on the place of a point that moves with a shape.
     fn varies(&self, shape: usize) -> bool;
+    /// Whether conditions depend on time.
+    fn has_time(&self) -> bool {
+        false
+    }
 }
 
 /// Materials and forces of a flow.
@@ -34,6 +40,7 @@ pub struct Fluid {
     pub viscosity: f64,
     pub diffusivity: Option<f64>,
     pub force: [f64; 3],
+    pub buoyancy: Option<Buoyancy>,
     /// A typical velocity, for the pressure's damping.
     pub velocity: f64,
 }
@@ -44,7 +51,7 @@ pub struct Cloud {
     pub ground: Ground,
     pub places: Places,
     pub fluid: Fluid,
-    pub fits: Fits,
+    pub fits: Arc<Fits>,
     pub surroundings: Arc<dyn Surroundings>,
     /// Middle of the points of each shape.
     pub centre: Vec<[f64; 3]>,
@@ -85,7 +92,7 @@ impl Cloud {
         let kinds: Vec<Where> = (0..places.place.len()).map(|i| kind(&ground, &places, i)).collect();
         let near = neighbours(&ground, &places, &kinds, threads);
         let fits = Fits::new(ground.region, &places.place, &kinds, &near);
-        let fits = fits.map_err(|i| Unusable::Lonely(places.place[i]))?;
+        let fits = Arc::new(fits.map_err(|i| Unusable::Lonely(places.place[i]))?);
         let stencils = &fits.all;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = fits.coefficients(&position);
@@ -128,11 +135,6 @@ impl Cloud {
         self.ground.surfaces.iter().map(|surface| surface.numbers.clone()).collect()
     }
 
-    /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of a surface.
-    pub fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
-        number >= self.ground.surfaces[shape].geometry
-    }
-
     /// The equations for a shape, whose conditions they hold.
     pub fn equations(&self, shaped: &Shaped) -> Equations {
         let (nu, velocity) = (self.fluid.viscosity, self.fluid.velocity);
@@ -140,11 +142,12 @@ impl Cloud {
             viscosity: nu,
             diffusivity: self.fluid.diffusivity,
             force: self.fluid.force,
+            buoyancy: self.fluid.buoyancy,
             damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
             ends: vec![],
-            fits: self.fits.clone(),
+            fits: Arc::clone(&self.fits),
         }
     }
 
@@ -183,12 +186,7 @@ impl Cloud {
         if let Some(place) = self.fits.all.folded(&self.places.place, &position, 6) {
             return Err(Unusable::Folded(place));
         }
-        let condition = |(k, point): (usize, &BoundaryPoint)| {
-            let place = std::array::from_fn(|d| position[d][inside + k]);
-            let (motion, warmth) = self.surroundings.condition(point, place, numbers);
-            Condition { motion, warmth, normal: normal[k] }
-        };
-        let conditions = self.places.boundary.iter().enumerate().map(condition).collect();
+        let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
         let operators = self.fits.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, volume, conditions, operators })
     }
@@ -204,26 +202,8 @@ impl Cloud {
         own.map(of).fold(Dual::new(0.0, 0.0), |sum, x| sum + x)
     }
 
-    /// The derivative of what the conditions of boundary point k give, by central differences along a change of place or numbers.
-    fn by_condition(&self, bar: &Bar, k: usize, step: f64, with: &dyn Fn(f64) -> ([f64; 3], Vec<Vec<f64>>)) -> f64 {
-        let point = &self.places.boundary[k];
-        let at = |sign: f64| {
-            let (place, numbers) = with(sign * step);
-            self.surroundings.condition(point, place, &numbers)
-        };
-        let (up, down) = (at(1.0), at(-1.0));
-        let number = |warmth: Warmth| match warmth {
-            Warmth::Given(x) | Warmth::Flux(x) => x,
-        };
-        let bar = &bar.boundary[k];
-        let moves = match (up.0, down.0) {
-            (Motion::Given(a), Motion::Given(b)) => (0..3).map(|e| bar.velocity[e] * (a[e] - b[e])).sum(),
-            _ => 0.0,
-        };
-        (moves + bar.temperature * (number(up.1) - number(down.1))) / (2.0 * step)
-    }
-
-    /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary.
+    /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that
+    /// depend on the place; none if their cotangents are in those of positions.
     ///
     /// # Errors
     /// A map whose transposed equations are not solved.
@@ -233,49 +213,27 @@ impl Cloud {
         position_bar: &[Vec<f64>; 3],
         bar: &Bar,
         wanted: &[(usize, usize)],
+        time: Option<f64>,
     ) -> Result<Vec<f64>, Unusable<3>> {
         let inside = self.places.inside;
-        let mut place_bar: Vec<[f64; 3]> = vec![[0.0; 3]; self.places.boundary.len()];
+        let mut place_bar = self.conditions_back(&shaped.position, &shaped.numbers, &bar.boundary, time);
         for d in 0..3 {
             let of_boundary = self.map[1].solve(&position_bar[d]).ok_or(Unusable::Singular)?;
-            place_bar.iter_mut().zip(&of_boundary[inside..]).for_each(|(to, x)| to[d] = *x);
-        }
-        let place = |k: usize| -> [f64; 3] { std::array::from_fn(|d| shaped.position[d][inside + k]) };
-        let step = 1e-5 * self.ground.dx;
-        for (k, point) in self.places.boundary.iter().enumerate() {
-            if point.on.is_some_and(|(shape, _)| self.surroundings.varies(shape)) {
-                for d in 0..3 {
-                    let with = |step: f64| {
-                        let mut p = place(k);
-                        p[d] += step;
-                        (p, shaped.numbers.clone())
-                    };
-                    place_bar[k][d] += self.by_condition(bar, k, step, &with);
-                }
-            }
+            place_bar.iter_mut().zip(&of_boundary[inside..]).for_each(|(to, x)| to[d] += *x);
         }
         let of = |&(shape, number): &(usize, usize)| {
-            let value = shaped.numbers[shape][number];
             if self.is_parameter((shape, number)) {
-                let with = |k: usize, step: f64| {
-                    let mut numbers = shaped.numbers.clone();
-                    numbers[shape][number] += step;
-                    (place(k), numbers)
+                let of = |time: f64| {
+                    self.by_parameter(&shaped.position, &shaped.numbers, &bar.boundary, (shape, number), time)
                 };
-                let own = self
-                    .places
-                    .boundary
-                    .iter()
-                    .enumerate()
-                    .filter(|(_, point)| point.on.is_some_and(|on| on.0 == shape));
-                let step = 1e-5 * value.abs().max(1e-3);
-                return own.map(|(k, _)| self.by_condition(bar, k, step, &|step| with(k, step))).sum();
+                return time.map_or(0.0, of);
             }
             let surface = &self.ground.surfaces[shape];
             let numbers: Vec<Dual> = (0..shaped.numbers[shape].len())
                 .map(|n| Dual { value: shaped.numbers[shape][n], slope: if n == number { 1.0 } else { 0.0 } })
                 .collect();
-            let mut sum = 0.0;
+            let own = bar.numbers.iter().filter(|(s, n, _)| (*s, *n) == (shape, number));
+            let mut sum: f64 = own.map(|(.., bar)| bar).sum();
             for (k, point) in self.places.boundary.iter().enumerate() {
                 let Some((_, spot)) = point.on.filter(|on| on.0 == shape) else { continue };
                 let on = surface.at(&spot, &numbers);
@@ -290,6 +248,36 @@ impl Cloud {
             sum
         };
         Ok(wanted.iter().map(of).collect())
+    }
+}
+
+impl Conditions<3> for Cloud {
+    fn inside(&self) -> usize {
+        self.places.inside
+    }
+
+    fn points(&self) -> usize {
+        self.places.boundary.len()
+    }
+
+    fn dx(&self) -> f64 {
+        self.ground.dx
+    }
+
+    fn condition(&self, point: usize, place: [f64; 3], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth) {
+        self.surroundings.condition(&self.places.boundary[point], place, time, numbers)
+    }
+
+    fn varies(&self, point: usize) -> bool {
+        self.places.boundary[point].on.is_some_and(|(shape, _)| self.surroundings.varies(shape))
+    }
+
+    fn has_time(&self) -> bool {
+        self.surroundings.has_time()
+    }
+
+    fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
+        number >= self.ground.surfaces[shape].geometry
     }
 }
 

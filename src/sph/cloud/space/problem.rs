@@ -4,7 +4,7 @@ use super::super::figures::Figure;
 use super::super::particles::Unusable;
 use super::super::problem::{NoSolution, CONTINUATION};
 use super::super::steady::{Held, NoSteadyState};
-use super::equations::{Bar, Derivatives, State, FLOW};
+use super::equations::{Bar, Condition, Derivatives, State, FLOW};
 use super::figures::{At, Measures, Rate};
 use super::particles::{Cloud, Shaped};
 use super::steady::Solver;
@@ -23,17 +23,27 @@ pub struct SteadyFlow {
 #[derive(Debug, Clone)]
 pub struct Solution {
     pub shaped: Arc<Shaped>,
+    /// What holds on the boundary at the time of the state.
+    pub conditions: Vec<Condition>,
     pub state: State,
     pub derivatives: Derivatives,
 }
 
 impl SteadyFlow {
+    /// `probes`, `balances`: see [`Measures::new`].
+    ///
     /// # Errors
     /// A map of the reference shape that folds, which cannot be.
-    pub fn new(cloud: Cloud, held: Option<Held>, probes: &[[f64; 3]], threads: usize) -> Result<Self, Unusable<3>> {
+    pub fn new(
+        cloud: Cloud,
+        held: Option<Held>,
+        probes: &[[f64; 3]],
+        balances: bool,
+        threads: usize,
+    ) -> Result<Self, Unusable<3>> {
         let shaped = cloud.shaped(&cloud.numbers())?;
         let solver = Solver::new(cloud.equations(&shaped), threads);
-        let measures = Measures::new(&cloud, probes);
+        let measures = Measures::new(&cloud, probes, balances);
         Ok(Self { cloud, solver, measures, held, last: None })
     }
 
@@ -64,7 +74,7 @@ impl SteadyFlow {
         found?;
         self.last = Some(state.clone());
         let derivatives = self.solver.equations.derivatives(&shaped.operators, &state);
-        Ok(Solution { shaped, state, derivatives })
+        Ok(Solution { conditions: shaped.conditions.clone(), shaped, state, derivatives })
     }
 
     /// A flow at rest takes no power, so it gets the force that a plane channel would need, and its flow.
@@ -87,8 +97,8 @@ impl SteadyFlow {
 
     /// What figures are read from.
     pub fn at<'a>(&'a self, solution: &'a Solution) -> At<'a> {
-        let Solution { shaped, state, derivatives: d } = solution;
-        At { equations: &self.solver.equations, shaped, state, d }
+        let Solution { shaped, conditions, state, derivatives: d } = solution;
+        At { equations: &self.solver.equations, shaped, conditions, state, d }
     }
 
     /// The derivative of a weighted sum of figures by numbers (shape, number).
@@ -101,7 +111,7 @@ impl SteadyFlow {
         terms: &[(Figure, f64)],
         wanted: &[(usize, usize)],
     ) -> Result<Vec<f64>, NoSolution<3>> {
-        let Solution { shaped, state, derivatives } = solution;
+        let Solution { shaped, state, derivatives, .. } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();
         let mut bar = Bar::new(n, shaped.area.len());
@@ -125,6 +135,6 @@ impl SteadyFlow {
             self.measures.pull_back(Figure::FlowRate, &self.at(solution), -multiplier * factor, &mut bar);
         }
         let positions = equations.by_positions(&shaped.position, state, &bar);
-        Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted)?)
+        Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0))?)
     }
 }

@@ -1,15 +1,17 @@
 //! The steady flow in space by Newton's method, whose linear systems are solved by GMRES with incomplete factors.
 //!
 //! The numbers of the whole flow (lambda, a drive) and what fixes them (the mean of the pressure, a flow rate) are a border of the
-//! matrix, see [`super::super::steady`].
+//! matrix, see [`super::super::steady`]. Heat is solved for behind the flow; with buoyancy it acts on it, and both are solved for together
+//! ([`super::coupled`]).
 
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::steady::{Held, NoSteadyState};
+use super::coupled::Coupled;
 use super::equations::{Derivatives, Equations, State, FLOW, PRESSURE, TEMPERATURE};
 use super::linear::{heat_matrix, Border, Linear, System};
 use crate::numerics::incomplete_lu::IncompleteLu;
-use crate::numerics::krylov::gmres_restarted;
-use crate::numerics::sparse_lu::{BlockMatrix, Order, Singular};
+use crate::numerics::krylov::{gmres, gmres_restarted};
+use crate::numerics::sparse_lu::{dot, BlockMatrix, Order, Singular};
 use std::sync::Arc;
 
 /// The flow rate as a linear function of the state: its value and derivative by u, v, w, p, `[N, 4]`.
@@ -42,7 +44,7 @@ pub struct Solver {
     pub counts: Counts,
 }
 
-type Drive<'a> = Option<(&'a Held, &'a dyn FlowRate)>;
+pub(super) type Drive<'a> = Option<(&'a Held, &'a dyn FlowRate)>;
 
 impl Solver {
     pub fn new(equations: Equations, threads: usize) -> Self {
@@ -54,8 +56,15 @@ impl Solver {
         self.equations.viscosity / self.equations.fits.all.scale(0)
     }
 
+    /// The same of heat with buoyancy: the acceleration by the temperature that a residual makes over a stencil, and farther.
+    fn heat_weight(&self) -> f64 {
+        let (Some(buoyancy), Some(alpha)) = (self.equations.buoyancy, self.equations.diffusivity) else { return 1.0 };
+        let size = buoyancy.by.iter().map(|x| x * x).sum::<f64>().sqrt();
+        size * self.equations.fits.all.scale(0).powi(2) / alpha
+    }
+
     /// Columns, rows and corner of the border.
-    fn border(&self, state: &State, d: &Derivatives, operators: &Coefficients<C>, held: Drive<'_>) -> Border {
+    pub(super) fn border(&self, state: &State, d: &Derivatives, operators: &Coefficients<C>, held: Drive<'_>) -> Border {
         let (equations, n) = (&self.equations, self.equations.particles());
         let (mut columns, mut rows) = (vec![], vec![]);
         if !equations.gives_pressure() {
@@ -113,24 +122,37 @@ impl Solver {
         let mut last = f64::INFINITY;
         for _ in 0..STEPS {
             let d = self.equations.derivatives(operators, state);
-            let residual = self.residual(state, &d, held);
+            let mut residual = self.residual(state, &d, held);
+            let coupled = self.equations.buoyancy.is_some();
+            if coupled {
+                residual.extend(self.equations.heat_residual(state, &d));
+            }
             let largest = residual.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
             if !largest.is_finite() || largest > 1e12 {
                 return Err(NoSteadyState::Diverged { residual: largest });
             }
             let scale = *scale.get_or_insert(largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE));
             if largest <= TOLERANCE * scale || (largest <= 1e-7 * scale && largest > 0.2 * last) {
-                return self.settle_heat(operators, state);
+                return if coupled { Ok(()) } else { self.settle_heat(operators, state) };
             }
             last = largest;
             log::debug!("Newton: residual {largest:.2e} after {} iterations", self.counts.iterations);
-            let linear = Linear::new(&self.equations, state, &d, operators);
+            let linear = Linear::new(&self.equations, state, &d, operators, 0.0);
             let system =
                 System::new(linear, self.border(state, &d, operators, held), self.threads, self.order.as_ref())?;
             self.counts.bytes = system.bytes();
+            let (weight, heat_weight) = (self.weight(), self.heat_weight());
             let right: Vec<f64> = residual.iter().map(|x| -x).collect();
             let tolerance = (0.1 * largest / scale).clamp(1e-5, 1e-2);
-            let change = system.solve(&right, tolerance, self.weight(), &mut self.counts.iterations);
+            let iterations = &mut self.counts.iterations;
+            let change = match coupled {
+                false => system.solve(&right, tolerance, weight, iterations),
+                true => {
+                    let heat = Scalar::new(heat_matrix(&self.equations, state, operators), self.threads)?;
+                    let all = Coupled::new(&self.equations, &d, &system, &heat, false);
+                    all.solve(&right, tolerance, [weight, heat_weight], iterations)
+                }
+            };
             let change = change.ok_or(NoSteadyState::Diverged { residual: largest })?;
             self.counts.steps += 1;
             for i in 0..n {
@@ -142,6 +164,9 @@ impl Solver {
             }
             if held.is_some() {
                 state.drive += extra.next().copied().unwrap_or(0.0);
+            }
+            if coupled {
+                state.fields[TEMPERATURE].iter_mut().zip(extra).for_each(|(t, change)| *t += change);
             }
         }
         Err(NoSteadyState::Diverged { residual: last })
@@ -175,7 +200,8 @@ impl Solver {
         let d = self.equations.derivatives(operators, state);
         let mut flow_bar: Vec<f64> = (0..FLOW * n).map(|k| bar[k % FLOW][k / FLOW]).collect();
         let mut heat = None;
-        if self.equations.diffusivity.is_some() {
+        let coupled = self.equations.buoyancy.is_some();
+        if self.equations.diffusivity.is_some() && !coupled {
             let mut y = vec![0.0; n];
             if bar[TEMPERATURE].iter().any(|&x| x != 0.0) {
                 let mut matrix = heat_matrix(&self.equations, state, operators);
@@ -196,12 +222,27 @@ impl Solver {
             *last = drive_bar;
         }
         let corner = (0..m).map(|i| (0..m).map(|j| corner[j][i]).collect()).collect();
-        let linear = Linear::new(&self.equations, state, &d, operators).transposed();
+        let linear = Linear::new(&self.equations, state, &d, operators, 0.0).transposed();
         let system = System::new(linear, [rows, columns, corner], self.threads, self.order.as_ref())?;
-        let weight = 1.0 / self.equations.fits.all.scale(0);
-        let flow = system.solve(&flow_bar, ADJOINT, weight, &mut self.counts.iterations);
-        let flow = flow.ok_or(NoSteadyState::Adjoint)?;
-        Ok((flow, heat))
+        let (weight, heat_weight) = (1.0 / self.equations.fits.all.scale(0), self.heat_weight());
+        let iterations = &mut self.counts.iterations;
+        if !coupled {
+            let flow = system.solve(&flow_bar, ADJOINT, weight, iterations);
+            return Ok((flow.ok_or(NoSteadyState::Adjoint)?, heat));
+        }
+        let mut matrix = heat_matrix(&self.equations, state, operators);
+        matrix.transpose();
+        let own = Scalar::new(matrix, self.threads)?;
+        flow_bar.extend(&bar[TEMPERATURE]);
+        let found = Coupled::new(&self.equations, &d, &system, &own, true).solve(
+            &flow_bar,
+            ADJOINT,
+            [weight, 1.0 / heat_weight],
+            iterations,
+        );
+        let mut flow = found.ok_or(NoSteadyState::Adjoint)?;
+        let heat = flow.split_off(FLOW * n + m);
+        Ok((flow, Some(heat)))
     }
 }
 
@@ -226,7 +267,43 @@ impl Scalar {
 
     /// The solution to rounding.
     pub fn solve(&self, right: &[f64]) -> Option<Vec<f64>> {
+        self.solve_to(right, 1e-12)
+    }
+
+    fn solve_to(&self, right: &[f64], tolerance: f64) -> Option<Vec<f64>> {
         let times = |x: &[f64]| self.matrix.times_on(x, self.threads);
-        gmres_restarted(right, 1e-12, PRODUCTS, &times, &|x| self.factors.solve(x))
+        gmres_restarted(right, tolerance, PRODUCTS, &times, &|x| self.factors.solve(x))
+    }
+
+    /// The solution to a part of the norm of the right-hand side, from a first guess.
+    pub fn solve_from(&self, right: &[f64], first: &[f64], tolerance: f64) -> Option<Vec<f64>> {
+        let left: Vec<f64> =
+            right.iter().zip(self.matrix.times_on(first, self.threads)).map(|(b, y)| b - y).collect();
+        let norm = |x: &[f64]| dot(x, x).sqrt();
+        let (least, now) = (tolerance * norm(right), norm(&left));
+        if now <= least {
+            return Some(first.to_vec());
+        }
+        let change = self.solve_to(&left, least / now)?;
+        Some(first.iter().zip(change).map(|(x, change)| x + change).collect())
+    }
+
+    pub(super) fn size(&self) -> usize {
+        self.matrix.nodes()
+    }
+
+    pub(super) fn times(&self, x: &[f64]) -> Vec<f64> {
+        self.matrix.times_on(x, self.threads)
+    }
+
+    /// A solution to a twentieth.
+    pub(super) fn nearly(&self, right: &[f64]) -> Vec<f64> {
+        let solve = |x: &[f64]| self.factors.solve(x);
+        gmres(right, 0.05, 80, &|x| self.times(x), &solve).unwrap_or_else(|| solve(right))
+    }
+
+    /// Memory of the matrix and its factors.
+    pub fn bytes(&self) -> usize {
+        12 * self.matrix.values.len() + self.factors.bytes()
     }
 }

@@ -1,0 +1,131 @@
+//! Steps in time in the plane: solutions with the factors of one matrix for each size, see [`super::unsteady`].
+
+use super::equations::{Bar, Derivatives, Equations, State};
+use super::fit::{Coefficients, COEFFICIENTS};
+use super::steady::{Border, Factors, FlowRate, Held, NoSteadyState, Solver};
+use super::unsteady::{lagged, Guess, Scheme};
+use crate::numerics::sparse_lu::SparseLu;
+use crate::sph::laws::buoyancy::Buoyancy;
+
+/// Matrices whose factors are kept: so many, or more as long as they need no more than these bytes. (Where a wall turns back and forth
+/// three sizes of steps take turns, each with matrices of its own after larger and smaller ones: seven.)
+const KEPT: usize = 3;
+const BYTES: usize = 300_000_000;
+
+/// Solutions with the matrix of one size of step.
+struct Matrices {
+    rate: f64,
+    flow: Factors,
+    heat: Option<SparseLu>,
+}
+
+impl Matrices {
+    fn bytes(&self) -> usize {
+        self.flow.bytes() + self.heat.as_ref().map_or(0, SparseLu::bytes)
+    }
+}
+
+/// Steps of a flow around one shape.
+pub struct March<'a> {
+    solver: Solver,
+    operators: &'a Coefficients,
+    kept: Vec<Matrices>,
+    border: Border,
+    drives: bool,
+    /// tau of a steady flow.
+    damping: Vec<f64>,
+    factorisations: usize,
+}
+
+impl<'a> March<'a> {
+    /// `held`: a flow rate that is held, and how it follows from the state.
+    pub fn new(
+        equations: Equations,
+        places: &[[f64; 2]],
+        operators: &'a Coefficients,
+        held: Option<(&Held, &dyn FlowRate)>,
+        threads: usize,
+    ) -> Self {
+        let damping = equations.damping.clone();
+        let solver = Solver::of_size(equations, places, 3, threads);
+        let border = solver.border_at_rest(operators, held);
+        Self { solver, operators, kept: vec![], border, drives: held.is_some(), damping, factorisations: 0 }
+    }
+
+    /// The factors for a0 / dt.
+    fn matrices(&mut self, rate: f64) -> Result<&Matrices, NoSteadyState> {
+        if let Some(k) = self.kept.iter().position(|kept| (kept.rate / rate - 1.0).abs() < 1e-12) {
+            let found = self.kept.remove(k);
+            self.kept.push(found);
+        } else {
+            self.solver.equations.damping = lagged(&self.damping, rate);
+            let (flow, heat) = self.solver.factors_at(rate, self.operators, &self.border)?;
+            self.factorisations += 1;
+            self.kept.push(Matrices { rate, flow, heat });
+            while self.kept.len() > KEPT && self.kept.iter().map(Matrices::bytes).sum::<usize>() > BYTES {
+                self.kept.remove(0);
+            }
+        }
+        self.kept.last().ok_or(NoSteadyState::Singular)
+    }
+}
+
+impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
+    fn particles(&self) -> usize {
+        self.solver.equations.particles()
+    }
+
+    fn inside(&self) -> usize {
+        self.solver.equations.inside
+    }
+
+    fn factorisations(&self) -> usize {
+        self.factorisations
+    }
+
+    fn has_heat(&self) -> bool {
+        self.solver.equations.diffusivity.is_some()
+    }
+
+    fn force(&self) -> [f64; 2] {
+        self.solver.equations.force
+    }
+
+    fn buoyancy(&self) -> Option<Buoyancy> {
+        self.solver.equations.buoyancy
+    }
+
+    fn extra(&self) -> [bool; 2] {
+        [self.border.pins, self.drives]
+    }
+
+    fn carried_slopes(&self, state: &State) -> Vec<Vec<[f64; 2]>> {
+        self.solver.equations.carried_slopes(self.operators, state)
+    }
+
+    fn boundary_derivatives(&self, state: &State) -> Derivatives {
+        self.solver.equations.derivatives_at(self.operators, state, &[])
+    }
+
+    fn by_fields(&self, bar: &Bar) -> [Vec<f64>; 4] {
+        self.solver.equations.by_fields(self.operators, bar)
+    }
+
+    fn by_positions(&self, position: &[Vec<f64>; 2], state: &State, bar: &Bar) -> [Vec<f64>; 2] {
+        self.solver.equations.by_positions(position, state, bar)
+    }
+
+    fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
+        self.solver.equations.damping = lagged(&self.damping, rate);
+        self.solver.equations.pull_back_linear(d, flow, heat, bar);
+    }
+
+    fn solve_flow(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, 4>>) -> Result<Vec<f64>, NoSteadyState> {
+        Ok(self.matrices(rate)?.flow.solve(right, guess.is_none(), false))
+    }
+
+    fn solve_heat(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, 4>>) -> Result<Vec<f64>, NoSteadyState> {
+        let matrices = self.matrices(rate)?;
+        Ok(matrices.heat.as_ref().map_or_else(Vec::new, |heat| heat.solve(right, guess.is_none())))
+    }
+}

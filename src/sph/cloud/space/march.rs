@@ -1,0 +1,213 @@
+//! Steps in time in space: iterations with the matrix of each size of step, see [`super::super::unsteady`].
+//!
+//! The matrix of a step is that of a flow at rest with a0 / dt in the rows of momentum. Of few particles it is factorised, which pays
+//! for many steps; of others GMRES solves with the preconditioner of [`super::linear`], from what the last two states extrapolate to.
+//! It ends at 1e-10 of the residual that the state before the step leaves, far below the error of the step, so that derivatives by
+//! the transposed iteration agree with differences.
+
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
+use super::super::steady::NoSteadyState;
+use super::super::unsteady::{lagged, Guess, Scheme};
+use super::equations::{Bar, Derivatives, Equations, State, FLOW, TEMPERATURE};
+use super::linear::{heat_matrix, Border, Linear, System};
+use super::steady::{Drive, Scalar, Solver};
+use crate::numerics::sparse_lu::Order;
+use crate::sph::laws::buoyancy::Buoyancy;
+use std::sync::Arc;
+
+/// The part of the residual of the state before a step that its iterations leave.
+const TOLERANCE: f64 = 1e-10;
+/// The part of the right-hand side that rounding leaves.
+const ROUNDING: f64 = 1e-13;
+/// The relative residual of adjoints and of temperatures.
+const ADJOINT: f64 = 1e-11;
+/// Up to so many particles the whole matrix is factorised.
+const FACTORISED: usize = 4000;
+/// Matrices that are kept, of sizes of steps and their transposes: so many, or more as long as they need no more than these bytes.
+const KEPT: usize = 2;
+const BYTES: usize = 1_000_000_000;
+
+/// The systems of one size of step, or their transposes.
+struct Matrices {
+    rate: f64,
+    transposed: bool,
+    flow: System,
+    heat: Option<Scalar>,
+}
+
+impl Matrices {
+    fn bytes(&self) -> usize {
+        self.flow.bytes() + self.heat.as_ref().map_or(0, Scalar::bytes)
+    }
+}
+
+/// Steps of a flow around one set of shapes.
+pub struct March<'a> {
+    solver: Solver,
+    operators: &'a Coefficients<C>,
+    kept: Vec<Matrices>,
+    border: Border,
+    extra: [bool; 2],
+    /// tau of a steady flow.
+    damping: Vec<f64>,
+    factorisations: usize,
+}
+
+impl<'a> March<'a> {
+    /// `held`: a flow rate that is held, and how it follows from the state.
+    pub fn new(
+        equations: Equations,
+        places: &[[f64; 3]],
+        operators: &'a Coefficients<C>,
+        held: Drive<'_>,
+        threads: usize,
+    ) -> Self {
+        let n = equations.particles();
+        let (damping, extra) = (equations.damping.clone(), [!equations.gives_pressure(), held.is_some()]);
+        let order = (n <= std::env::var("HG_FACT").map_or(FACTORISED, |x| x.parse().unwrap())).then(|| Arc::new(Order::new(&equations.fits.all.matrix(FLOW), |i| places[i])));
+        let solver = Solver { order, ..Solver::new(equations, threads) };
+        let border = solver.border(&State::at_rest(n), &Derivatives::zeros(n), operators, held);
+        Self { solver, operators, kept: vec![], border, extra, damping, factorisations: 0 }
+    }
+
+    /// Iterations of all solutions with the flow's matrices.
+    pub fn iterations(&self) -> usize {
+        self.solver.counts.iterations
+    }
+
+    /// Memory of the matrices that are kept.
+    pub fn bytes(&self) -> usize {
+        self.kept.iter().map(Matrices::bytes).sum()
+    }
+
+    /// Puts the systems for a0 / dt to the end of those that are kept.
+    fn find(&mut self, rate: f64, transposed: bool) -> Result<(), NoSteadyState> {
+        let is_it = |kept: &Matrices| kept.transposed == transposed && (kept.rate / rate - 1.0).abs() < 1e-12;
+        if let Some(k) = self.kept.iter().position(is_it) {
+            let found = self.kept.remove(k);
+            self.kept.push(found);
+            return Ok(());
+        }
+        while self.kept.len() >= KEPT && self.bytes() > BYTES {
+            self.kept.remove(0);
+        }
+        self.solver.equations.damping = lagged(&self.damping, rate);
+        let Solver { equations, threads, order, .. } = &self.solver;
+        let n = equations.particles();
+        let rest = State::at_rest(n);
+        let linear = Linear::new(equations, &rest, &Derivatives::zeros(n), self.operators, rate);
+        let [columns, rows, corner] = self.border.clone();
+        let (linear, border) = match transposed {
+            false => (linear, [columns, rows, corner]),
+            // The corner is 0.
+            true => (linear.transposed(), [rows, columns, corner]),
+        };
+        let clock = std::time::Instant::now();
+        let flow = System::new(linear, border, *threads, order.as_ref())?;
+        log::debug!("factors: {:.3} s, {} bytes, rate {rate:.3}", clock.elapsed().as_secs_f64(), flow.bytes());
+        let heat = equations.diffusivity.map(|_| {
+            let mut matrix = heat_matrix(equations, &rest, self.operators);
+            for i in 0..equations.inside {
+                let entry = matrix.entry(i, i as u32);
+                matrix.values[entry] += rate;
+            }
+            if transposed {
+                matrix.transpose();
+            }
+            Scalar::new(matrix, *threads)
+        });
+        self.factorisations += 1;
+        self.kept.push(Matrices { rate, transposed, flow, heat: heat.transpose()? });
+        Ok(())
+    }
+}
+
+impl Scheme<3, 5, C> for March<'_> {
+    fn particles(&self) -> usize {
+        self.solver.equations.particles()
+    }
+
+    fn inside(&self) -> usize {
+        self.solver.equations.inside
+    }
+
+    fn factorisations(&self) -> usize {
+        self.factorisations
+    }
+
+    fn has_heat(&self) -> bool {
+        self.solver.equations.diffusivity.is_some()
+    }
+
+    fn force(&self) -> [f64; 3] {
+        self.solver.equations.force
+    }
+
+    fn buoyancy(&self) -> Option<Buoyancy> {
+        self.solver.equations.buoyancy
+    }
+
+    fn extra(&self) -> [bool; 2] {
+        self.extra
+    }
+
+    fn carried_slopes(&self, state: &State) -> Vec<Vec<[f64; 3]>> {
+        self.solver.equations.carried_slopes(self.operators, state)
+    }
+
+    fn boundary_derivatives(&self, state: &State) -> Derivatives {
+        self.solver.equations.derivatives_at(self.operators, state, &[])
+    }
+
+    fn by_fields(&self, bar: &Bar) -> [Vec<f64>; 5] {
+        self.solver.equations.by_fields(self.operators, bar)
+    }
+
+    fn by_positions(&self, position: &[Vec<f64>; 3], state: &State, bar: &Bar) -> [Vec<f64>; 3] {
+        self.solver.equations.by_positions(position, state, bar)
+    }
+
+    fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
+        self.solver.equations.damping = lagged(&self.damping, rate);
+        self.solver.equations.pull_back_linear(d, flow, heat, bar);
+    }
+
+    fn solve_flow(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, 5>>) -> Result<Vec<f64>, NoSteadyState> {
+        self.find(rate, guess.is_none())?;
+        let Self { kept, solver, extra, .. } = self;
+        let Solver { equations, counts, .. } = solver;
+        let flow = &kept.last().ok_or(NoSteadyState::Singular)?.flow;
+        // Over a stencil momenta change and diffuse at these rates.
+        let scale = equations.fits.all.scale(0);
+        let weight = rate * scale + equations.viscosity / scale;
+        let Some(guess) = guess else {
+            let found = flow.solve(right, ADJOINT, weight, &mut counts.iterations);
+            return found.ok_or(NoSteadyState::Adjoint);
+        };
+        let n = equations.particles();
+        let vector = |of: &dyn Fn(&dyn Fn(&State) -> f64) -> f64| -> Vec<f64> {
+            let mut x: Vec<f64> = (0..FLOW * n).map(|k| of(&|state| state.fields[k % FLOW][k / FLOW])).collect();
+            x.extend(extra[0].then(|| of(&|state| state.lambda)));
+            x.extend(extra[1].then(|| of(&|state| state.drive)));
+            x
+        };
+        let [first, known] = [vector(&|number| guess.of(number)), vector(&|number| number(guess.now))];
+        let accuracy = (TOLERANCE, ROUNDING);
+        let (before, clock) = (counts.iterations, std::time::Instant::now());
+        let found = flow.solve_from(right, [&first, &known], accuracy, weight, &mut counts.iterations);
+        log::debug!("step: {} iterations in {:.3} s, rate {rate:.3}", counts.iterations - before, clock.elapsed().as_secs_f64());
+        found.ok_or(NoSteadyState::Unsolved)
+    }
+
+    fn solve_heat(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, 5>>) -> Result<Vec<f64>, NoSteadyState> {
+        self.find(rate, guess.is_none())?;
+        let n = self.solver.equations.particles();
+        let Some(heat) = self.kept.last().and_then(|kept| kept.heat.as_ref()) else { return Ok(vec![]) };
+        let first = match guess {
+            Some(guess) => (0..n).map(|i| guess.of(|state| state.fields[TEMPERATURE][i])).collect(),
+            None => vec![0.0; n],
+        };
+        let why = if guess.is_some() { NoSteadyState::Unsolved } else { NoSteadyState::Adjoint };
+        heat.solve_from(right, &first, ADJOINT).ok_or(why)
+    }
+}

@@ -1,0 +1,195 @@
+//! Fixed particles around bodies in space, whose flow goes on in time, and with buoyancy.
+
+use hydrograd::config::scene::Config;
+use hydrograd::scene::around_bodies::AroundBodies;
+use hydrograd::scene::around_flow::Around;
+use hydrograd::scene::around_shapes::AroundShapes;
+use hydrograd::scene::history::{History, Of};
+use hydrograd::sph::cloud::figures::Figure;
+use hydrograd::sph::cloud::space::equations::TEMPERATURE;
+use hydrograd::sph::cloud::space::problem::Solution;
+use std::f64::consts::PI;
+
+fn config(text: &str) -> Config {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.toml");
+    std::fs::write(&file, format!("scene = \"custom\"\nmethod.name = \"fixed\"\n{text}")).unwrap();
+    Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config
+}
+
+fn march(around: &AroundBodies) -> (History, Solution) {
+    around.march(&around.first(), None, &mut |_, _| Ok(())).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Vortices of Taylor and Green between sides where the fluid slips: u = sin x cos z, w = -cos x sin z in [0, pi]^2 decay as
+/// exp(-2 nu t), and turn without changing their shape.
+#[test]
+fn vortices_decay_as_they_must() {
+    let sides: String = ["left", "right", "back", "front"]
+        .map(|side| format!("region.sides.{side} = {{ kind = \"symmetry\" }}\n"))
+        .concat();
+    let text = |dx: f64| {
+        format!(
+            "method.flow = \"unsteady\"\nregion.size = [3.141592653589793, 1.0, 3.141592653589793]\n\
+             region.periodic = [false, true, false]\nregion.acceleration = [0.0, 0.0, 0.0]\n{sides}\
+             resolution.dx = {dx}\nfluid.viscosity = 0.1\ntime.end = 1.0\n\
+             initial.velocity = [\"sin(x)*cos(z)\", \"0*x\", \"-cos(x)*sin(z)\"]\nobjective.kind = \"flow-rate\"\n"
+        )
+    };
+    let error = |dx: f64| {
+        let around = AroundBodies::new(&config(&text(dx))).unwrap();
+        let (history, last) = march(&around);
+        let decay = (-0.2f64).exp();
+        let [x, _, z] = &last.shaped.position;
+        let square = |i: usize| {
+            let exact = [x[i].sin() * z[i].cos(), 0.0, -x[i].cos() * z[i].sin()];
+            last.state.velocity(i).iter().zip(exact).map(|(u, exact)| (u - decay * exact).powi(2)).sum::<f64>()
+        };
+        let n = around.particles();
+        let found = ((0..n).map(square).sum::<f64>() / n as f64).sqrt() / (decay * 0.5f64.sqrt());
+        println!("{n} particles, {} steps: {found:.2e}", history.sizes.len());
+        found
+    };
+    let errors = [PI / 8.0, PI / 14.0].map(error);
+    assert!(errors[1] < 0.01 && errors[1] < 0.5 * errors[0], "{errors:?}");
+}
+
+/// A column along z starts from rest as in the plane, with particles as far apart.
+#[test]
+fn a_column_starts_as_in_the_plane() {
+    let text = |size: &str, shape: &str| {
+        format!(
+            "method.flow = \"unsteady\"\nregion.size = {size}\nresolution.dx = 0.04\nresolution.surface = 0.02\n\
+             fluid.viscosity = 0.006\ntime.end = 0.5\nobjective.kind = \"flow-rate\"\n{shape}"
+        )
+    };
+    let plane = "region.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
+                 [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.2]\nradius = 0.06\n";
+    let space = "region.periodic = [true, false, true]\nregion.acceleration = [1.0, 0.0, 0.0]\n\
+                 [[shapes]]\nkind = \"cylinder\"\naxis = \"z\"\ncentre = [0.5, 0.2, 0.06]\nradius = 0.06\n";
+    let plane = AroundShapes::new(&config(&text("[1.0, 0.4]", plane))).unwrap();
+    let space = AroundBodies::new(&config(&text("[1.0, 0.4, 0.12]", space))).unwrap();
+    let (of_plane, _) = plane.march(&[], None, &mut |_, _| Ok(())).unwrap();
+    let (of_space, _) = march(&space);
+    let last = |history: &History, name: &str| {
+        let k = history.figures.iter().position(|(own, _)| own == name).unwrap();
+        history.moments[history.moments.len() - 1].values[k]
+    };
+    for (name, tolerance) in [("flow_rate", 0.01), ("shapes[0].drag", 0.03)] {
+        let (known, found) = (last(&of_plane, name), last(&of_space, name) / 0.12);
+        println!("{name}: {found}, in the plane {known}");
+        assert!((found / known - 1.0).abs() < tolerance, "{name}: {found}, in the plane {known}");
+    }
+}
+
+const BALL: &str = "region.size = [0.6, 0.4, 0.4]\nregion.periodic = [true, false, false]\n\
+    region.acceleration = [1.0, 0.0, 0.0]\nresolution.dx = 0.0667\nresolution.surface = 0.04\n\
+    fluid.viscosity = 0.02\nfluid.conductivity = 0.02\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\n\
+    region.sides.top = { kind = \"wall\", temperature = 0.0 }\nobjective.kind = \"flow-rate\"\n\
+    [[shapes]]\nkind = \"disc\"\ncentre = [0.3, 0.2, 0.2]\nradius = 0.1\ntemperature = 1.0\n";
+
+/// A flow in time becomes that of Newton's method, with the same rate, force and heat by the ball's surface.
+#[test]
+fn a_flow_in_time_becomes_the_steady_one() {
+    let mut steady = AroundBodies::new(&config(BALL)).unwrap();
+    let solution = steady.solve(&[]).unwrap();
+    let text = format!("method.flow = \"unsteady\"\nmethod.tolerance = 1e-3\ntime.end = 8.0\n{BALL}");
+    let around = AroundBodies::new(&config(&text)).unwrap();
+    let (history, last) = march(&around);
+    println!("{} particles, {} steps", around.particles(), history.sizes.len());
+    let of = |around: &AroundBodies, solution: &Solution| {
+        let (at, measures) = (around.flow.at(solution), &around.flow.measures);
+        let rate = measures.value(Figure::FlowRate, &at);
+        [rate, measures.surface_force(&at, 0, 0), measures.surface_heat(&at, 0)]
+    };
+    for (found, known) in of(&around, &last).iter().zip(of(&steady, &solution)) {
+        println!("{found}, steady {known}");
+        assert!((found / known - 1.0).abs() < 2e-3, "{found}, steady {known}");
+    }
+}
+
+/// A warm ball that turns back and forth in a stream that pulsates, with buoyancy: the exact derivative by radius, place, amplitude and
+/// frequency beside differences, whether the matrix is factorised or not.
+#[test]
+fn the_gradient_is_that_of_differences() {
+    let sides: String = ["bottom", "top", "back", "front"]
+        .map(|side| format!("region.sides.{side} = {{ kind = \"symmetry\" }}\n"))
+        .concat();
+    let variables: String = [("radius", 0.05, 0.12), ("centre[1]", 0.15, 0.25), ("parameters[0]", 0.0, 1.0)]
+        .into_iter()
+        .chain([("parameters[1]", 1.0, 10.0)])
+        .map(|(name, lower, upper)| {
+            format!("[[variables]]\nnumber = \"shapes[0].{name}\"\nlower = {lower}\nupper = {upper}\n")
+        })
+        .collect();
+    let text = format!(
+        "method.flow = \"unsteady\"\nregion.size = [0.7, 0.4, 0.4]\nregion.acceleration = [0.0, -1.0, 0.0]\n{sides}\
+         region.sides.left = {{ kind = \"inflow\", velocity = [\"1 + 0.3*sin(5*t)\", 0, 0], temperature = 0 }}\n\
+         region.sides.right = {{ kind = \"outflow\" }}\nfluid.viscosity = 0.02\nfluid.conductivity = 0.02\n\
+         fluid.inlet_temperature = 0.0\nfluid.expansion = 0.5\ninitial.temperature = 0.0\n\
+         initial.velocity = [\"1 + 0*y\", \"0.1*sin(3*x)\", \"0*x\"]\nresolution.dx = 0.07\nresolution.surface = 0.045\n\
+         time.end = 0.15\nobjective.window = 0.1\n[[shapes]]\nkind = \"disc\"\ncentre = [0.3, 0.2, 0.21]\nradius = 0.1\n\
+         temperature = 1.0\nparameters = [0.5, 7.0]\n\
+         velocity = [\"p0*cos(p1*t)*(0.2 - y)\", \"p0*cos(p1*t)*(x - 0.3)\", 0]\n{variables}"
+    );
+    for objective in ["drag", "shape-heat"] {
+        let around = AroundBodies::new(&config(&format!("objective.kind = \"{objective}\"\n{text}"))).unwrap();
+        let first = around.first();
+        let (history, _) = march(&around);
+        let exact = around.march_gradient(&first, &history, Of::Objective).unwrap();
+        let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
+        println!("{objective}: {} particles, {} steps, {exact:?}", around.particles(), history.sizes.len());
+        for k in 0..first.len() {
+            let at = |step: f64| {
+                let mut moved = first.clone();
+                moved[k] += step;
+                let (found, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(())).unwrap();
+                found.objective(&around.window(&moved, &found).unwrap())
+            };
+            let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
+            let difference = (4.0 * central(2e-4) - central(4e-4)) / 3.0;
+            println!("{k}: {} and {difference}", exact[k]);
+            assert!((difference - exact[k]).abs() < 1e-6 * norm, "{objective} {k}: {} and {difference}", exact[k]);
+        }
+    }
+}
+
+/// The heated cavity between adiabatic sides along z, at a Rayleigh number of 1e4.
+fn cavity(depth: &str, more: &str) -> String {
+    format!(
+        "region.size = [1.0, 1.0{depth}]\nresolution.dx = 0.0625\nfluid.viscosity = 0.71\nfluid.conductivity = 1.0\n\
+         fluid.inlet_temperature = 0.0\nfluid.reference_temperature = 0.5\nfluid.expansion = 7100.0\n\
+         fluid.reference_velocity = 20.0\ninitial.temperature = 0.5\nobjective.kind = \"flow-rate\"\n{more}"
+    )
+}
+
+/// The heat that enters by the left side, in that of a fluid at rest.
+fn nusselt(around: &AroundBodies, solution: &Solution) -> f64 {
+    let places = &around.flow.cloud.places;
+    let of = |tile: &hydrograd::sph::cloud::space::placing::Tile| {
+        -tile.area * solution.derivatives.0[TEMPERATURE][places.inside + tile.point][0]
+    };
+    let size = &around.config().region.size;
+    places.tiles.iter().filter(|tile| tile.side == 0).map(of).sum::<f64>() / (size[1] * size[2])
+}
+
+#[test]
+fn a_heated_cavity_has_the_heat_of_the_plane() {
+    let walls = "region.sides.left = { kind = \"wall\", temperature = 1.0 }\n\
+                 region.sides.right = { kind = \"wall\", temperature = 0.0 }\n";
+    let space = format!(
+        "{walls}region.periodic = [false, false, false]\nregion.acceleration = [0.0, -1.0, 0.0]\n\
+         region.sides.back = {{ kind = \"symmetry\" }}\nregion.sides.front = {{ kind = \"symmetry\" }}\n"
+    );
+    let mut around = AroundBodies::new(&config(&cavity(", 0.25", &space))).unwrap();
+    let solution = around.solve(&[]).unwrap();
+    let steady = nusselt(&around, &solution);
+    println!("{} particles: {steady}, known 2.2448", around.particles());
+    assert!((steady / 2.2448 - 1.0).abs() < 0.02, "{steady}");
+    let in_time = format!("method.flow = \"unsteady\"\nmethod.tolerance = 1e-2\ntime.end = 0.3\n{space}");
+    let around = AroundBodies::new(&config(&cavity(", 0.25", &in_time))).unwrap();
+    let (history, last) = march(&around);
+    let found = nusselt(&around, &last);
+    println!("{} steps: {found}", history.sizes.len());
+    assert!((found / steady - 1.0).abs() < 5e-3, "{found}, steady {steady}");
+}
