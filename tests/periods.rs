@@ -3,9 +3,9 @@
 use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::scene::Config;
 use hydrograd::numerics::curve::{sum, Curve};
-use hydrograd::scene::history::{History, Of};
 use hydrograd::scene::around_flow::Around;
 use hydrograd::scene::around_shapes::AroundShapes;
+use hydrograd::scene::history::{History, Of};
 use hydrograd::scene::periods::{Period, Slopes, TooFew, Window};
 use hydrograd::scene::shape_search::Search;
 

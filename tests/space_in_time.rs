@@ -3,11 +3,14 @@
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::scene::around_flow::Around;
+use hydrograd::scene::around_in_time::Marching;
 use hydrograd::scene::around_shapes::AroundShapes;
 use hydrograd::scene::history::{History, Of};
 use hydrograd::sph::cloud::figures::Figure;
-use hydrograd::sph::cloud::space::equations::TEMPERATURE;
+use hydrograd::sph::cloud::space::equations::{State, TEMPERATURE};
+use hydrograd::sph::cloud::space::placing::Tile;
 use hydrograd::sph::cloud::space::problem::Solution;
+use hydrograd::sph::cloud::unsteady::{Guess, Scheme};
 use std::f64::consts::PI;
 
 fn config(text: &str) -> Config {
@@ -54,7 +57,8 @@ fn vortices_decay_as_they_must() {
     assert!(errors[1] < 0.01 && errors[1] < 0.5 * errors[0], "{errors:?}");
 }
 
-/// A column along z starts from rest as in the plane, with particles as far apart.
+/// A column along z starts from rest as in the plane, with particles as far apart: the flow rate within 0.5 %, the drag by the surface within
+/// 2.4 %, where the plane's own is 3.2 % above that of half the spacing.
 #[test]
 fn a_column_starts_as_in_the_plane() {
     let text = |size: &str, shape: &str| {
@@ -64,9 +68,9 @@ fn a_column_starts_as_in_the_plane() {
         )
     };
     let plane = "region.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
-                 [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.2]\nradius = 0.06\n";
+                 [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.2]\nradius = 0.1\n";
     let space = "region.periodic = [true, false, true]\nregion.acceleration = [1.0, 0.0, 0.0]\n\
-                 [[shapes]]\nkind = \"cylinder\"\naxis = \"z\"\ncentre = [0.5, 0.2, 0.06]\nradius = 0.06\n";
+                 [[shapes]]\nkind = \"cylinder\"\naxis = \"z\"\ncentre = [0.5, 0.2, 0.06]\nradius = 0.1\n";
     let plane = AroundShapes::new(&config(&text("[1.0, 0.4]", plane))).unwrap();
     let space = AroundBodies::new(&config(&text("[1.0, 0.4, 0.12]", space))).unwrap();
     let (of_plane, _) = plane.march(&[], None, &mut |_, _| Ok(())).unwrap();
@@ -75,7 +79,7 @@ fn a_column_starts_as_in_the_plane() {
         let k = history.figures.iter().position(|(own, _)| own == name).unwrap();
         history.moments[history.moments.len() - 1].values[k]
     };
-    for (name, tolerance) in [("flow_rate", 0.01), ("shapes[0].drag", 0.03)] {
+    for (name, tolerance) in [("flow_rate", 0.01), ("shapes[0].drag", 0.035)] {
         let (known, found) = (last(&of_plane, name), last(&of_space, name) / 0.12);
         println!("{name}: {found}, in the plane {known}");
         assert!((found / known - 1.0).abs() < tolerance, "{name}: {found}, in the plane {known}");
@@ -93,7 +97,7 @@ const BALL: &str = "region.size = [0.6, 0.4, 0.4]\nregion.periodic = [true, fals
 fn a_flow_in_time_becomes_the_steady_one() {
     let mut steady = AroundBodies::new(&config(BALL)).unwrap();
     let solution = steady.solve(&[]).unwrap();
-    let text = format!("method.flow = \"unsteady\"\nmethod.tolerance = 1e-3\ntime.end = 8.0\n{BALL}");
+    let text = format!("method.flow = \"unsteady\"\nmethod.tolerance = 1e-3\ntime.end = 6.0\n{BALL}");
     let around = AroundBodies::new(&config(&text)).unwrap();
     let (history, last) = march(&around);
     println!("{} particles, {} steps", around.particles(), history.sizes.len());
@@ -108,49 +112,76 @@ fn a_flow_in_time_becomes_the_steady_one() {
     }
 }
 
-/// A warm ball that turns back and forth in a stream that pulsates, with buoyancy: the exact derivative by radius, place, amplitude and
-/// frequency beside differences, whether the matrix is factorised or not.
+/// A warm ball that turns back and forth in a stream that pulsates, with buoyancy: the exact derivative of drag, torque, heat and a
+/// pressure together by radius, place, amplitude and frequency beside differences.
 #[test]
 fn the_gradient_is_that_of_differences() {
     let sides: String = ["bottom", "top", "back", "front"]
         .map(|side| format!("region.sides.{side} = {{ kind = \"symmetry\" }}\n"))
         .concat();
-    let variables: String = [("radius", 0.05, 0.12), ("centre[1]", 0.15, 0.25), ("parameters[0]", 0.0, 1.0)]
-        .into_iter()
-        .chain([("parameters[1]", 1.0, 10.0)])
-        .map(|(name, lower, upper)| {
-            format!("[[variables]]\nnumber = \"shapes[0].{name}\"\nlower = {lower}\nupper = {upper}\n")
-        })
-        .collect();
+    let variables: String =
+        [("radius", 0.05, 0.12), ("centre[1]", 0.15, 0.25), ("parameters[0]", 0.0, 1.0), ("parameters[1]", 1.0, 10.0)]
+            .map(|(name, lower, upper)| {
+                format!("[[variables]]\nnumber = \"shapes[0].{name}\"\nlower = {lower}\nupper = {upper}\n")
+            })
+            .concat();
     let text = format!(
-        "method.flow = \"unsteady\"\nregion.size = [0.7, 0.4, 0.4]\nregion.acceleration = [0.0, -1.0, 0.0]\n{sides}\
+        "method.flow = \"unsteady\"\nregion.size = [0.7, 0.4, 0.4]\nregion.periodic = [false, false, false]\n\
+         region.acceleration = [0.0, -1.0, 0.0]\n{sides}\
          region.sides.left = {{ kind = \"inflow\", velocity = [\"1 + 0.3*sin(5*t)\", 0, 0], temperature = 0 }}\n\
          region.sides.right = {{ kind = \"outflow\" }}\nfluid.viscosity = 0.02\nfluid.conductivity = 0.02\n\
          fluid.inlet_temperature = 0.0\nfluid.expansion = 0.5\ninitial.temperature = 0.0\n\
          initial.velocity = [\"1 + 0*y\", \"0.1*sin(3*x)\", \"0*x\"]\nresolution.dx = 0.07\nresolution.surface = 0.045\n\
-         time.end = 0.15\nobjective.window = 0.1\n[[shapes]]\nkind = \"disc\"\ncentre = [0.3, 0.2, 0.21]\nradius = 0.1\n\
+         time.step = 0.02\ntime.end = 0.1\nobjective.window = 0.05\n\
+         objective.terms = [{{ kind = \"drag\", weight = 0.1 }}, {{ kind = \"torque\", weight = 20.0 }}, \
+         {{ kind = \"shape-heat\", weight = 1.0 }}, {{ kind = \"pressure\", at = [0.5, 0.2, 0.1], weight = 0.1 }}]\n\
+         [[shapes]]\nkind = \"disc\"\ncentre = [0.3, 0.2, 0.21]\nradius = 0.1\n\
          temperature = 1.0\nparameters = [0.5, 7.0]\n\
          velocity = [\"p0*cos(p1*t)*(0.2 - y)\", \"p0*cos(p1*t)*(x - 0.3)\", 0]\n{variables}"
     );
-    for objective in ["drag", "shape-heat"] {
-        let around = AroundBodies::new(&config(&format!("objective.kind = \"{objective}\"\n{text}"))).unwrap();
-        let first = around.first();
-        let (history, _) = march(&around);
-        let exact = around.march_gradient(&first, &history, Of::Objective).unwrap();
-        let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
-        println!("{objective}: {} particles, {} steps, {exact:?}", around.particles(), history.sizes.len());
-        for k in 0..first.len() {
-            let at = |step: f64| {
-                let mut moved = first.clone();
-                moved[k] += step;
-                let (found, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(())).unwrap();
-                found.objective(&around.window(&moved, &found).unwrap())
-            };
-            let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
-            let difference = (4.0 * central(2e-4) - central(4e-4)) / 3.0;
-            println!("{k}: {} and {difference}", exact[k]);
-            assert!((difference - exact[k]).abs() < 1e-6 * norm, "{objective} {k}: {} and {difference}", exact[k]);
+    let around = AroundBodies::new(&config(&text)).unwrap();
+    let first = around.first();
+    let (history, _) = march(&around);
+    let exact = around.march_gradient(&first, &history, Of::Objective).unwrap();
+    let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
+    println!("{} particles, {} steps, {exact:?}", around.particles(), history.sizes.len());
+    for k in 0..first.len() {
+        let at = |step: f64| {
+            let mut moved = first.clone();
+            moved[k] += step;
+            let (found, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(())).unwrap();
+            found.objective(&around.window(&moved, &found).unwrap())
+        };
+        let step = if k < 2 { 4e-4 } else { 4e-2 };
+        let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
+        let difference = (4.0 * central(0.5 * step) - central(step)) / 3.0;
+        println!("{k}: {} and {difference}", exact[k]);
+        assert!((difference - exact[k]).abs() < 1e-6 * norm, "{k}: {} and {difference}", exact[k]);
+        assert!((difference - exact[k]).abs() < 1e-5 * exact[k].abs(), "{k}: {} and {difference}", exact[k]);
+    }
+}
+
+/// The iterations for a step, and for its transpose, end where exact factors do.
+#[test]
+fn iterations_agree_with_factors() {
+    let around = AroundBodies::new(&config(&format!("method.flow = \"unsteady\"\n{BALL}"))).unwrap();
+    let shaped = around.shaped(&[]).unwrap();
+    let (rate, now, before) = (40.0, State::at_rest(around.particles()), State::at_rest(0));
+    let number = |k: usize| (12.9898 * (k + 1) as f64).sin();
+    let right: Vec<f64> = (0..4 * around.particles() + 1).map(number).collect();
+    let found = [true, false].map(|exact| {
+        let mut march = around.scheme(&shaped);
+        if !exact {
+            march = march.without_factors();
         }
+        let guess = Guess { now: &now, before: &before, ratio: 0.0 };
+        [Some(guess), None].map(|guess| march.solve_flow(rate, &right, guess).unwrap())
+    });
+    for (exact, found) in found[0].iter().zip(&found[1]) {
+        let size = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let off = exact.iter().zip(found).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        println!("{:.1e}", off / size);
+        assert!(off < 1e-7 * size, "{off} of {size}");
     }
 }
 
@@ -166,9 +197,7 @@ fn cavity(depth: &str, more: &str) -> String {
 /// The heat that enters by the left side, in that of a fluid at rest.
 fn nusselt(around: &AroundBodies, solution: &Solution) -> f64 {
     let places = &around.flow.cloud.places;
-    let of = |tile: &hydrograd::sph::cloud::space::placing::Tile| {
-        -tile.area * solution.derivatives.0[TEMPERATURE][places.inside + tile.point][0]
-    };
+    let of = |tile: &Tile| -tile.area * solution.derivatives.0[TEMPERATURE][places.inside + tile.point][0];
     let size = &around.config().region.size;
     places.tiles.iter().filter(|tile| tile.side == 0).map(of).sum::<f64>() / (size[1] * size[2])
 }

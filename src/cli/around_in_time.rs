@@ -59,7 +59,7 @@ impl Drawn for AroundShapes {
     fn draw(&self, folder: &Path, panels: &[(&str, &Solution)]) -> anyhow::Result<bool> {
         let maps: Vec<_> = panels.iter().map(|(label, solution)| (*label, self.map(solution))).collect();
         let maps: Vec<_> = maps.iter().map(|(label, map)| (*label, map)).collect();
-        Ok(files::plot_maps(folder, &maps, true)?)
+        files::plot_maps(folder, &maps, true)
     }
 
     fn write_on_grid(&self, folder: &Path, solution: &Solution, time: f64) -> anyhow::Result<()> {
@@ -74,7 +74,7 @@ impl Drawn for AroundBodies {
     fn draw(&self, folder: &Path, panels: &[(&str, &space::problem::Solution)]) -> anyhow::Result<bool> {
         let fields: Vec<_> = panels.iter().map(|(label, solution)| (*label, self.fields(solution))).collect();
         let fields: Vec<_> = fields.iter().map(|(label, fields)| (*label, fields)).collect();
-        Ok(files::plot_flow_and_heat(folder, &fields, self.config().resolution.dx)?)
+        files::plot_flow_and_heat(folder, &fields, self.config().resolution.dx)
     }
 
     // `output.grid` is refused in three dimensions.

@@ -196,7 +196,8 @@ impl AroundBodies {
         if let Some(probe) = probes.iter().find(|probe| cloud.ground.distance(**probe, None) < -0.5 * spacing) {
             return Err(not_in_fluid(probe).into());
         }
-        let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads).map_err(|why| unusable(config, &why))?;
+        let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads)
+            .map_err(|why| unusable(config, &why))?;
         Ok(Self { flow, config: config.clone(), probes, wanted })
     }
 

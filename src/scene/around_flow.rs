@@ -3,7 +3,7 @@
 
 use super::around_bodies::AroundBodies;
 use super::around_shapes::{has_objective, AroundShapes, Judged};
-use super::history::{History, Moment, Of};
+use super::history::{History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use super::periods::{Period, TooFew, Window};
 use crate::config::custom::Part;
@@ -107,7 +107,7 @@ pub trait Around {
         &self,
         variables: &[f64],
         sizes: Option<&[f64]>,
-        watch: &mut dyn FnMut(&Moment, &Self::Solution) -> Result<(), Error>,
+        watch: Watch<'_, Self::Solution>,
     ) -> Result<(History, Self::Solution), Error>;
     /// The derivative of the mean of the window by the variables, along the steps of a history.
     ///

@@ -3,7 +3,7 @@
 
 use super::around_flow::Around;
 use super::around_shapes::{check_finite, no_flow, tolerance};
-use super::history::{History, Moment, Of};
+use super::history::{History, Moment, Of, Watch};
 use crate::config::formula::Function;
 use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::Error;
@@ -123,7 +123,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         &self,
         variables: &[f64],
         sizes: Option<&[f64]>,
-        watch: &mut dyn FnMut(&Moment, &Self::Solution) -> Result<(), Error>,
+        watch: Watch<'_, Self::Solution>,
     ) -> Result<(History, Self::Solution), Error> {
         let config = self.config();
         let Begun { shaped, first, flow_rate, start } = self.begin(variables)?;

@@ -8,8 +8,8 @@ use crate::config::scene::{Asked, Config, DriveName, LimitEntry, ObjectiveKind, 
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
-use crate::sph::cloud::equations::{Motion, Warmth};
 use crate::sph::cloud::conditions::Conditions as _;
+use crate::sph::cloud::equations::{Motion, Warmth};
 use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};

@@ -3,7 +3,7 @@
 use super::around_flow::Around;
 use super::around_in_time::{Marching, View};
 use super::around_shapes::{check_finite, no_solution, AroundShapes, Judged};
-use super::history::{History, Moment, Of};
+use super::history::{History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use crate::config::custom::Part;
 use crate::config::scene::{Asked, Config, ObjectiveKind};
@@ -59,7 +59,7 @@ impl Around for AroundShapes {
         &self,
         variables: &[f64],
         sizes: Option<&[f64]>,
-        watch: &mut dyn FnMut(&Moment, &Solution) -> Result<(), Error>,
+        watch: Watch<'_, Solution>,
     ) -> Result<(History, Solution), Error> {
         self.go(variables, sizes, watch)
     }

@@ -1,6 +1,7 @@
 //! Figures of a flow around shapes over time, and how they go through a part of it.
 
 use super::periods::Window;
+use crate::error::Error;
 use crate::numerics::curve::rises;
 use crate::sph::cloud::figures::Figure;
 
@@ -14,6 +15,9 @@ pub struct Moment {
     /// What each of `limits` is about; NaN for those that are about shapes alone.
     pub limits: Vec<f64>,
 }
+
+/// What is told each moment with its flow, and may stop a run.
+pub type Watch<'a, S> = &'a mut dyn FnMut(&Moment, &S) -> Result<(), Error>;
 
 /// Figures over time.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -1,7 +1,7 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
-use super::deformation::Deformation;
 use super::conditions::Conditions;
+use super::deformation::Deformation;
 use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::nearest::{Nearest, Plane};

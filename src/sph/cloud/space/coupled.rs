@@ -13,7 +13,7 @@
 
 use super::equations::{Derivatives, Equations, FLOW, PRESSURE, TEMPERATURE};
 use super::linear::System;
-use super::steady::Scalar;
+use super::scalar::Scalar;
 use crate::numerics::krylov::gmres_restarted;
 
 /// Products before GMRES begins anew, and at most.
@@ -32,13 +32,7 @@ pub struct Coupled<'a> {
 
 impl<'a> Coupled<'a> {
     /// `flow` and `heat`: systems at the state that `d` belongs to, or both transposed.
-    pub fn new(
-        equations: &Equations,
-        d: &Derivatives,
-        flow: &'a System,
-        heat: &'a Scalar,
-        transposed: bool,
-    ) -> Self {
+    pub fn new(equations: &Equations, d: &Derivatives, flow: &'a System, heat: &'a Scalar, transposed: bool) -> Self {
         let push = equations.buoyancy.map_or([0.0; 3], |buoyancy| buoyancy.by);
         let of = |i: usize| match equations.end(i) {
             None => std::array::from_fn(|e| d.0[TEMPERATURE][i][e]),

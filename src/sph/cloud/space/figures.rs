@@ -261,10 +261,11 @@ impl Measures {
 
     /// Whether balance tells the heat of shapes: the sides let heat through.
     fn balances_heat(&self, at: &At<'_>, shape: usize) -> bool {
-        self.share[shape] != 0.0 && self.rest.iter().any(|&(k, _)| {
-            let Condition { motion, warmth, .. } = at.conditions[k];
-            matches!(motion, Motion::Outflow(_)) || !matches!(warmth, Warmth::Flux(0.0))
-        })
+        self.share[shape] != 0.0
+            && self.rest.iter().any(|&(k, _)| {
+                let Condition { motion, warmth, .. } = at.conditions[k];
+                matches!(motion, Motion::Outflow(_)) || !matches!(warmth, Warmth::Flux(0.0))
+            })
     }
 
     /// The volume of the region in the direction of the stream: area of a cross-section times length over length.

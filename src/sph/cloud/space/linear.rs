@@ -9,8 +9,12 @@
 //!
 //! X is near the Schur complement S - D K^-1 G: of a slow flow this is an operator near 1 / nu, and of others the slopes nearly commute
 //! with K, "pressure convection-diffusion" (Silvester and Wathen 1994; Kay, Loghin and Wathen 2002; Elman, Silvester and Wathen 2014).
-//! A step in time has K = a0 / dt - nu lap, and with it X^-1 = nu - a0 / dt (lap + a0 / dt tau S)^-1 (Cahouet and Chabard 1988; tau S, which
-//! damps the pressure, is not small there beside the Laplacian).
+//!
+//! Steps in time have incomplete factors of all of A instead, whose blocks hold the velocity and the pressure of a particle: a0 / dt in K and
+//! the damping S are large on its diagonal. Their iterations grow with the number of particles along a side (18, 19 and 26 with 1057,
+//! 3602 and 12,760 particles, to 1e-10). With P and X^-1 = nu - a0 / dt lap^-1 (Cahouet and Chabard 1988) there are 65 to 80, each several times
+//! as long, since S is up to ten times a0 / dt lap^-1 for pressures that change from point to point, and no Laplacian has that; with
+//! (lap + a0 / dt tau S)^-1 there are as many, and the inner iterations do not converge.
 //!
 //! K^-1 and lap^-1 are GMRES again with incomplete factors, to a tenth; so the outer iteration is a flexible one (Saad 1993). A pair of particles
 //! has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
@@ -60,26 +64,18 @@ pub struct Linear {
     /// The velocity of particles inside, 0 at others; none of a flow at rest.
     velocity: Option<Vec<[f64; 3]>>,
     /// A Laplacian of positive weights, 4.8 / h^2 times the mean of f_j - f_i by the fits' W (whose mean of s^2 is 1.25). At walls, whose
-    /// neighbours are on one side, it is a slope. It only serves the preconditioner, where the fits' own would converge slowly. In steps in
-    /// time with a0 / dt tau S.
+    /// neighbours are on one side, it is a slope. It only serves the preconditioner, where the fits' own would converge slowly.
     laplace: BlockMatrix,
 }
 
 impl Linear {
     /// `rate`: a0 / dt of a step in time, of which `state` is one at rest; 0 of a steady flow.
-    pub fn new(
-        equations: &Equations,
-        state: &State,
-        d: &Derivatives,
-        operators: &Coefficients<C>,
-        rate: f64,
-    ) -> Self {
+    pub fn new(equations: &Equations, state: &State, d: &Derivatives, operators: &Coefficients<C>, rate: f64) -> Self {
         let n = equations.particles();
         let (mut first, mut column, mut pairs) = (vec![0], vec![], vec![]);
         let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
         let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
-        let has_laplace = !is_at_rest || rate > 0.0;
-        let mut laplace = if has_laplace { equations.fits.all.matrix(1) } else { BlockMatrix::default() };
+        let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.fits.all.matrix(1) };
         for i in 0..n {
             let motion = equations.condition(i).map(|condition| condition.motion);
             let u = state.velocity(i);
@@ -100,14 +96,14 @@ impl Linear {
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
                 column.push(j as u32);
                 pairs.push(pair);
-                if has_laplace && !matches!(motion, Some(Motion::Outflow(_))) {
-                    let value = 4.8 * equations.fits.all.pair(i, k).1 / (weights * scale * scale) - rate * pair[4];
+                if !is_at_rest && !matches!(motion, Some(Motion::Outflow(_))) {
+                    let value = 4.8 * equations.fits.all.pair(i, k).1 / (weights * scale * scale);
                     let (entry, diagonal) = (laplace.entry(i, j as u32), laplace.entry(i, i as u32));
                     laplace.values[entry] += value;
                     laplace.values[diagonal] -= value;
                 }
             }
-            if has_laplace {
+            if !is_at_rest {
                 // Where no pressure is given, a constant is left; this is small beside all others.
                 let diagonal = laplace.entry(i, i as u32);
                 laplace.values[diagonal] -= match motion {
@@ -174,11 +170,7 @@ impl Linear {
         }
         let turned = |block: &[[f64; FLOW]; FLOW]| std::array::from_fn(|a| std::array::from_fn(|b| block[b][a]));
         let own = self.own.iter().map(turned).collect();
-        let mut laplace = self.laplace;
-        if self.rate > 0.0 {
-            laplace.transpose();
-        }
-        Self { transposed: !self.transposed, first, column, pairs, own, laplace, ..self }
+        Self { transposed: !self.transposed, first, column, pairs, own, ..self }
     }
 
     /// y = A x of some particles.
@@ -301,11 +293,9 @@ impl Linear {
                 let diagonal = matrix.entry(from, from as u32);
                 matrix.values[diagonal] -= value;
             }
-            let diagonal = matrix.entry(i, i as u32);
             if self.takes[i].carries[component] == 0.0 {
+                let diagonal = matrix.entry(i, i as u32);
                 matrix.values[diagonal] = 1.0;
-            } else if self.takes[i].pushes > 0.0 {
-                matrix.values[diagonal] += self.rate;
             }
         }
         matrix
@@ -327,14 +317,37 @@ pub struct System {
     /// Solutions of the preconditioner with each column.
     solved: Vec<Vec<f64>>,
     /// Factors of all of the matrix, instead of those of its parts.
-    whole: Option<SparseLu>,
+    whole: Option<Whole>,
+}
+
+/// Factors of all of a matrix.
+enum Whole {
+    Exact(SparseLu),
+    Nearly(IncompleteLu<FLOW>),
+}
+
+impl Whole {
+    fn solve(&self, right: &[f64]) -> Vec<f64> {
+        match self {
+            Self::Exact(factors) => factors.solve(right, false),
+            Self::Nearly(factors) => factors.solve(right),
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Exact(factors) => factors.bytes(),
+            Self::Nearly(factors) => factors.bytes(),
+        }
+    }
 }
 
 /// Columns, rows and corner of a border.
 pub type Border = [Vec<Vec<f64>>; 3];
 
 impl System {
-    /// With an order of elimination the whole matrix is factorised, which pays for few particles.
+    /// With an order of elimination the whole matrix is factorised, which pays for few particles; that of a step in time is otherwise so
+    /// incompletely.
     ///
     /// # Errors
     /// A particle without a diagonal entry, or a matrix without factors.
@@ -344,7 +357,11 @@ impl System {
         threads: usize,
         order: Option<&Arc<Order>>,
     ) -> Result<Self, Singular> {
-        let whole = order.map(|order| SparseLu::new(order, &linear.whole(), threads)).transpose()?;
+        let whole = match order {
+            Some(order) => Some(Whole::Exact(SparseLu::new(order, &linear.whole(), threads)?)),
+            None if linear.rate > 0.0 => Some(Whole::Nearly(IncompleteLu::new(&linear.whole())?)),
+            None => None,
+        };
         let parts = if whole.is_some() { 0 } else { 3 };
         let mut which = [0; 3];
         let mut carrying: Vec<(BlockMatrix, IncompleteLu<1>)> = vec![];
@@ -369,8 +386,9 @@ impl System {
     /// Memory of matrices and factors.
     pub fn bytes(&self) -> usize {
         let of = |(matrix, factors): &(BlockMatrix, IncompleteLu<1>)| 12 * matrix.values.len() + factors.bytes();
-        let whole = self.whole.as_ref().map_or(0, SparseLu::bytes);
-        let laplace = self.laplace.as_ref().map_or(0, |factors| 12 * self.linear.laplace.values.len() + factors.bytes());
+        let whole = self.whole.as_ref().map_or(0, Whole::bytes);
+        let laplace =
+            self.laplace.as_ref().map_or(0, |factors| 12 * self.linear.laplace.values.len() + factors.bytes());
         whole + laplace + 44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
     }
 
@@ -403,7 +421,6 @@ impl System {
                     (0..free.len()).map(|i| if linear.takes[i].pushes > 0.0 { free[i] } else { 0.0 }).collect();
                 linear.carried(velocity, &solved(&inside, factors))
             }
-            (None, Some(factors)) => solved(&free, factors).iter().map(|x| linear.rate * x).collect(),
             _ => vec![0.0; free.len()],
         };
         (0..free.len())
@@ -414,7 +431,7 @@ impl System {
     /// P^-1 of a vector without border.
     fn inner(&self, right: &[f64]) -> Vec<f64> {
         if let Some(whole) = &self.whole {
-            return whole.solve(right, false);
+            return whole.solve(right);
         }
         let linear = &self.linear;
         let n = linear.particles();

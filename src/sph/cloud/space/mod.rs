@@ -12,5 +12,6 @@ pub mod march;
 pub mod particles;
 pub mod placing;
 pub mod problem;
+pub mod scalar;
 pub mod steady;
 pub mod surface;

@@ -11,7 +11,7 @@ use super::super::particles::Unusable;
 use super::equations::{Bar, Condition, Equations, Motion};
 use super::fits::{Fits, Where};
 use super::placing::{BoundaryPoint, Ground, Places};
-use super::steady::Scalar;
+use super::scalar::Scalar;
 use super::surface::OnSurface;
 use crate::sph::consistent::stencil::quadratic;
 use crate::sph::laws::buoyancy::Buoyancy;
