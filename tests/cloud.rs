@@ -11,12 +11,14 @@ use hydrograd::numerics::eigenvalues::outermost;
 use hydrograd::numerics::krylov::gmres;
 use hydrograd::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use hydrograd::scene::around_flow::Around;
+use hydrograd::scene::around_in_time::Marching;
 use hydrograd::scene::around_shapes::AroundShapes;
 use hydrograd::scene::history::Of;
 use hydrograd::scene::shape_search::{Epoch, Search};
 use hydrograd::sph::cloud::composed::residual;
 use hydrograd::sph::cloud::equations::{Bar, State};
 use hydrograd::sph::cloud::figures::Figure;
+use hydrograd::sph::cloud::fit_adjoint::PairCotangents;
 use hydrograd::sph::cloud::interpolation::Interpolation;
 use hydrograd::sph::cloud::nearest::{Nearest, Plane};
 use hydrograd::sph::cloud::outline::{area, Outline};
@@ -80,12 +82,20 @@ fn the_direct_solver_solves_a_matrix_and_its_transpose_with_any_number_of_thread
     for threads in [1, 2, 3] {
         let lu = SparseLu::new(&order, &matrix, threads).unwrap();
         for transposed in [false, true] {
+            let residual = |x: &[f64]| {
+                let product = matrix.times(x, transposed);
+                product.iter().zip(&right).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+            };
             let x = lu.solve(&right, transposed);
-            let worst = matrix.times(&x, transposed).iter().zip(&right).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            assert!(worst < 1e-10, "{threads} threads, transposed {transposed}: residual {worst:e}");
+            assert!(residual(&x) < 1e-10, "{threads} threads, transposed {transposed}: residual {:e}", residual(&x));
             seen.push(x);
         }
     }
+    // The transpose, by its definition: y . A x = x . A^T y.
+    let other: Vec<f64> = (0..nodes * size).map(|_| draw()).collect();
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let (one, two) = (dot(&other, &matrix.times(&right, false)), dot(&right, &matrix.times(&other, true)));
+    assert!((one - two).abs() < 1e-10 * one.abs().max(1.0), "{one} and {two}");
     assert!(seen.chunks(2).all(|pair| pair == &seen[..2]), "the number of threads changes bits");
     // A matrix of zeros has no factors.
     matrix.values.fill(0.0);
@@ -415,6 +425,18 @@ fn the_residual_and_its_adjoint_equal_candles() {
     for d in 0..2 {
         for i in 0..n {
             assert!((own[d][i] - theirs[d][i]).abs() < 1e-10 * size, "position {d} of particle {i}");
+        }
+    }
+    // The same by the coefficients' cotangents, in two parts.
+    let mut pairs = PairCotangents::zeros(&equations.stencils);
+    let numbers: Vec<&[f64]> = state.fields.iter().map(Vec::as_slice).collect();
+    pairs.add(&equations.stencils, &numbers[..1], n, |_, i| bar.derivatives.0[0][i]);
+    pairs.add(&equations.stencils, &numbers[1..], n, |f, i| bar.derivatives.0[1 + f][i]);
+    let mut summed = bar.position.clone();
+    equations.stencils.pull_back_pairs(&shaped.position, &pairs, &mut summed);
+    for d in 0..2 {
+        for i in 0..n {
+            assert!((own[d][i] - summed[d][i]).abs() < 1e-11 * size, "position {d} of particle {i} by pairs");
         }
     }
     // The matrices are the derivatives by the fields.
@@ -910,6 +932,10 @@ fn the_gradient_of_a_flow_in_time_is_that_of_differences() {
         assert!(history.sizes.len() > 10);
         let exact = around.march_gradient(&first, &history, Of::Objective).unwrap();
         let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // With room for a few states only, most are made again.
+        let frugal = around.go_back(&first, &history, Of::Objective, 1).unwrap();
+        let apart = exact.iter().zip(&frugal).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-12 * norm, "{exact:?} and {frugal:?}");
         for k in 0..first.len() {
             let at = |step: f64| {
                 let mut moved = first.clone();

@@ -14,7 +14,7 @@
 //! Rows are exchanged within A only, so the structure does not depend on the numbers; what accuracy that costs is
 //! won back by one step of iterative refinement. The order of all sums is fixed, for any number of threads.
 
-use super::lanes::Lanes;
+use super::lanes::{array, Lanes};
 use super::sweep::{run_rows, RowKernel, Shared};
 use gemm::{gemm, Parallelism};
 use std::ops::Range;
@@ -621,12 +621,14 @@ impl RowKernel<f64> for Sweep<'_> {
     #[inline(always)]
     fn rows<L: Lanes<Real = f64>>(&self, rows: Range<usize>) {
         for fronts in &self.stage[rows] {
-            let fronts = fronts.clone();
-            match (self.is_forward, self.transposed) {
-                (true, false) => fronts.for_each(|k| self.system.forward::<L, false>(k)),
-                (true, true) => fronts.for_each(|k| self.system.forward::<L, true>(k)),
-                (false, false) => fronts.rev().for_each(|k| self.system.backward::<L, false>(k)),
-                (false, true) => fronts.rev().for_each(|k| self.system.backward::<L, true>(k)),
+            // Loops, because an iterator's `for_each` is a function of its own, without the instruction set of this one.
+            for k in 0..fronts.len() {
+                match (self.is_forward, self.transposed) {
+                    (true, false) => self.system.forward::<L, false>(fronts.start + k),
+                    (true, true) => self.system.forward::<L, true>(fronts.start + k),
+                    (false, false) => self.system.backward::<L, false>(fronts.end - 1 - k),
+                    (false, true) => self.system.backward::<L, true>(fronts.end - 1 - k),
+                }
             }
         }
     }
@@ -635,25 +637,78 @@ impl RowKernel<f64> for Sweep<'_> {
 /// Columns of a matrix that are taken at once.
 const AT_ONCE: usize = 4;
 
-/// y -= A x for the columns of A, each as long as y.
+/// y -= A x for C columns of A, which begin `length` numbers apart.
 #[inline(always)]
-fn subtract_columns(y: &mut [f64], a: &[f64], x: &[f64]) {
+fn subtract_some<L: Lanes<Real = f64>, const C: usize>(y: &mut [f64], a: &[f64], length: usize, x: &[f64]) {
     let m = y.len();
-    if m == 0 {
-        return;
-    }
-    let (fours, rest) = (a.chunks_exact(AT_ONCE * m), x.chunks_exact(AT_ONCE));
-    let (left, last) = (fours.remainder(), rest.remainder());
-    for (columns, x) in fours.zip(rest) {
-        let (a0, others) = columns.split_at(m);
-        let (a1, others) = others.split_at(m);
-        let (a2, a3) = others.split_at(m);
-        for r in 0..m {
-            y[r] -= (a0[r] * x[0] + a1[r] * x[1]) + (a2[r] * x[2] + a3[r] * x[3]);
+    assert!(m == 0 || (a.len() >= (C - 1) * length + m && x.len() >= C));
+    let whole = m - m % L::COUNT;
+    let factors: [L; C] = array(|c| L::splat(-x[c]));
+    for r in (0..whole).step_by(L::COUNT) {
+        // SAFETY: COUNT numbers of y and of each column.
+        unsafe {
+            let mut sum = L::load(y.as_ptr().add(r));
+            for c in 0..C {
+                sum = L::load(a.as_ptr().add(c * length + r)).mul_add(factors[c], sum);
+            }
+            sum.store(y.as_mut_ptr().add(r));
         }
     }
-    for (column, x) in left.chunks_exact(m).zip(last) {
-        y.iter_mut().zip(column).for_each(|(y, a)| *y -= a * x);
+    for r in whole..m {
+        for c in 0..C {
+            y[r] -= a[c * length + r] * x[c];
+        }
+    }
+}
+
+/// y -= A x for the columns of A, which begin `length` numbers apart.
+#[inline(always)]
+fn subtract_columns<L: Lanes<Real = f64>>(y: &mut [f64], a: &[f64], length: usize, x: &[f64]) {
+    let whole = x.len() - x.len() % AT_ONCE;
+    for c in (0..whole).step_by(AT_ONCE) {
+        subtract_some::<L, AT_ONCE>(y, &a[c * length..], length, &x[c..]);
+    }
+    for c in whole..x.len() {
+        subtract_some::<L, 1>(y, &a[c * length..], length, &x[c..]);
+    }
+}
+
+/// x <- L^-1 x with the unit lower triangle of `lu`, `[p, p]`.
+#[inline(always)]
+fn solve_unit_lower<L: Lanes<Real = f64>>(lu: &[f64], x: &mut [f64]) {
+    let p = x.len();
+    for from in (0..p).step_by(AT_ONCE) {
+        let to = p.min(from + AT_ONCE);
+        for k in from..to {
+            for row in k + 1..to {
+                let share = lu[k * p + row] * x[k];
+                x[row] -= share;
+            }
+        }
+        let (known, rest) = x.split_at_mut(to);
+        if !rest.is_empty() {
+            subtract_columns::<L>(rest, &lu[from * p + to..], p, &known[from..]);
+        }
+    }
+}
+
+/// x <- U^-1 x with the upper triangle of `lu`, `[p, p]`.
+#[inline(always)]
+fn solve_upper<L: Lanes<Real = f64>>(lu: &[f64], x: &mut [f64]) {
+    let p = x.len();
+    for from in (0..p).step_by(AT_ONCE).rev() {
+        let to = p.min(from + AT_ONCE);
+        for k in (from..to).rev() {
+            x[k] = x[k] / lu[k * p + k];
+            for row in from..k {
+                let share = lu[k * p + row] * x[k];
+                x[row] -= share;
+            }
+        }
+        let (rest, known) = x.split_at_mut(from);
+        if !rest.is_empty() {
+            subtract_columns::<L>(rest, &lu[from * p..], p, &known[..to - from]);
+        }
     }
 }
 
@@ -675,8 +730,11 @@ fn products<L: Lanes<Real = f64>, const C: usize>(a: &[f64], y: &[f64]) -> [f64;
     }
     let mut all = [0.0; C];
     for c in 0..C {
-        let rest: f64 = (whole..m).map(|r| a[c * m + r] * y[r]).sum();
-        all[c] = sums[c].sum() + rest;
+        let mut sum = sums[c].sum();
+        for r in whole..m {
+            sum += a[c * m + r] * y[r];
+        }
+        all[c] = sum;
     }
     all
 }
@@ -688,7 +746,9 @@ fn subtract_products<L: Lanes<Real = f64>>(x: &mut [f64], a: &[f64], y: &[f64]) 
     let whole = x.len() - x.len() % AT_ONCE;
     for c in (0..whole).step_by(AT_ONCE) {
         let found = products::<L, AT_ONCE>(&a[c * m..], y);
-        (0..AT_ONCE).for_each(|k| x[c + k] -= found[k]);
+        for (x, found) in x[c..].iter_mut().zip(found) {
+            *x -= found;
+        }
     }
     for c in whole..x.len() {
         x[c] -= products::<L, 1>(&a[c * m..], y)[0];
@@ -725,23 +785,24 @@ impl System<'_> {
             for (&to, values) in fronts[child].in_parent.iter().zip(from_child.chunks_exact(s)) {
                 let to = to as usize * s;
                 let to = if to < p { &mut own[to..to + s] } else { &mut later[to - p..to - p + s] };
-                to.iter_mut().zip(values).for_each(|(to, value)| *to += value);
+                for (to, value) in to.iter_mut().zip(values) {
+                    *to += *value;
+                }
             }
         }
         if TRANSPOSED {
             for k in 0..p {
                 let (before, from) = own.split_at_mut(k);
                 subtract_products::<L>(&mut from[..1], &lu[k * p..k * p + k], before);
-                from[0] /= lu[k * p + k];
+                from[0] = from[0] / lu[k * p + k];
             }
             subtract_products::<L>(later, upper, own);
         } else {
-            pivots.iter().enumerate().for_each(|(k, &with)| own.swap(k, with as usize));
-            for k in 0..p {
-                let pivot = own[k];
-                own[k + 1..].iter_mut().zip(&lu[k * p + k + 1..(k + 1) * p]).for_each(|(x, l)| *x -= l * pivot);
+            for (k, &with) in pivots.iter().enumerate() {
+                own.swap(k, with as usize);
             }
-            subtract_columns(later, lower, own);
+            solve_unit_lower::<L>(lu, own);
+            subtract_columns::<L>(later, lower, later.len(), own);
         }
     }
 
@@ -765,14 +826,12 @@ impl System<'_> {
                 let (before, from) = own.split_at_mut(k + 1);
                 subtract_products::<L>(&mut before[k..], &lu[k * p + k + 1..(k + 1) * p], from);
             }
-            pivots.iter().enumerate().rev().for_each(|(k, &with)| own.swap(k, with as usize));
-        } else {
-            subtract_columns(own, upper, known);
-            for k in (0..p).rev() {
-                own[k] /= lu[k * p + k];
-                let pivot = own[k];
-                own[..k].iter_mut().zip(&lu[k * p..k * p + k]).for_each(|(x, u)| *x -= u * pivot);
+            for (k, &with) in pivots.iter().enumerate().rev() {
+                own.swap(k, with as usize);
             }
+        } else {
+            subtract_columns::<L>(own, upper, p, known);
+            solve_upper::<L>(lu, own);
         }
     }
 }

@@ -167,11 +167,11 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         Ok((history, last))
     }
 
-    /// See [`Around::march_gradient`].
+    /// See [`Around::march_gradient`]. `memory`: bytes for states; with fewer more of them are made again.
     ///
     /// # Errors
     /// As there.
-    fn go_back(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error> {
+    fn go_back(&self, variables: &[f64], history: &History, of: Of, memory: usize) -> Result<Vec<f64>, Error> {
         let (window, times) = (self.window(variables, history)?, history.times());
         let values = history.values(&|moment| match of {
             Of::Objective => moment.objective,
@@ -210,6 +210,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             flow_rate,
             first: &first,
             sizes: &history.sizes,
+            memory,
             flow_rate_back: &flow_rate_back,
         };
         let found = taken

@@ -20,6 +20,7 @@ use crate::sph::cloud::space::march::March;
 use crate::sph::cloud::space::particles::{Cloud, Shaped};
 use crate::sph::cloud::space::problem::Solution;
 use crate::sph::cloud::steady::Held;
+use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::sync::Arc;
 
@@ -63,7 +64,7 @@ impl Around for AroundBodies {
     }
 
     fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error> {
-        self.go_back(variables, history, of)
+        self.go_back(variables, history, of, MEMORY)
     }
 
     fn unit(&self, figure: Figure) -> f64 {

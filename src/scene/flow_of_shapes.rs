@@ -17,6 +17,7 @@ use crate::sph::cloud::outline::area;
 use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
 use crate::sph::cloud::steady::Held;
+use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -65,7 +66,7 @@ impl Around for AroundShapes {
     }
 
     fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error> {
-        self.go_back(variables, history, of)
+        self.go_back(variables, history, of, MEMORY)
     }
 
     fn unit(&self, figure: Figure) -> f64 {
@@ -148,7 +149,8 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
         let cloud = &self.flow.cloud;
         let rate = Rate { measures: &self.flow.measures, shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
-        March::new(cloud.equations(shaped), &cloud.places.place, &shaped.operators, held, threads::count())
+        let operators = [&shaped.operators, shaped.carriers()];
+        March::new(cloud.equations(shaped), &cloud.places.place, operators, held, threads::count())
     }
 
     fn seen(&self, shaped: &Arc<Shaped>, _: f64, state: &State) -> Solution {

@@ -81,6 +81,8 @@ pub struct Equations {
     /// Of each particle on the boundary.
     pub conditions: Vec<Condition>,
     pub stencils: Stencils,
+    /// Those of fits of third order for what the flow carries, of a flow in time.
+    pub carrying: Option<Stencils>,
 }
 
 /// Derivatives of all F fields at all particles, `[N][C]` each.
@@ -132,11 +134,9 @@ impl Equations {
         d
     }
 
-    /// The slopes along x and y of u, v and, with heat, T at particles inside.
-    pub fn carried_slopes(&self, operators: &Coefficients, state: &State) -> Vec<Vec<[f64; 2]>> {
-        let [u, v, _, t] = &state.fields;
-        let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, t] } else { &[u, v] };
-        operators.slopes(&self.stencils, fields, self.inside)
+    /// The stencils of what the flow carries.
+    pub fn carriers(&self) -> &Stencils {
+        self.carrying.as_ref().unwrap_or(&self.stencils)
     }
 
     /// Buoyancy on a particle along e.
@@ -423,6 +423,15 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
             volume: 0.0,
             numbers: vec![],
         }
+    }
+
+    /// Becomes zero.
+    pub fn clear(&mut self) {
+        self.derivatives.0.iter_mut().for_each(|field| field.fill([0.0; C]));
+        self.boundary.fill(BoundaryBar::default());
+        self.position.iter_mut().chain(&mut self.fields).for_each(|field| field.fill(0.0));
+        (self.drive, self.volume) = (0.0, 0.0);
+        self.numbers.clear();
     }
 }
 

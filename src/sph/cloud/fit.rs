@@ -24,9 +24,7 @@ use super::nearest::Region;
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::numerics::sweep::{run_parts, PartKernel};
-use crate::sph::consistent::stencil::{
-    accumulate, at, dot, factorise, monomials, packed, pull_back, solve, to_third, values,
-};
+use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, monomials, packed, solve, to_third, values};
 
 /// Coefficients of a pair in the plane: the derivatives x, y, xx, xy, yy, and S.
 pub const COEFFICIENTS: usize = monomials(2) + 1;
@@ -63,7 +61,7 @@ pub struct Stencils<const D: usize = 2> {
     /// The largest number of neighbours, K.
     pub neighbours: usize,
     /// Rows of pairs before each block, `[blocks + 1]`.
-    first: Vec<usize>,
+    pub(super) first: Vec<usize>,
     pub list: Vec<u32>,
     /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`.
     shift: [Vec<f64>; D],
@@ -71,7 +69,7 @@ pub struct Stencils<const D: usize = 2> {
     /// h_i, `[blocks, WIDEST]`.
     scale: Vec<f64>,
     /// 1 for a fit of third order, 0 for one of second order, `[blocks, WIDEST]`.
-    third: Vec<f64>,
+    pub(super) third: Vec<f64>,
 }
 
 /// Rows of a table of pairs: the number of particles rounded up to whole blocks.
@@ -156,7 +154,7 @@ impl<const D: usize> Stencils<D> {
     }
 
     /// A table of `width` numbers for each pair, cut into blocks.
-    fn parts<'a>(&self, mut table: &'a mut [f64], width: usize) -> Vec<&'a mut [f64]> {
+    pub(super) fn parts<'a>(&self, mut table: &'a mut [f64], width: usize) -> Vec<&'a mut [f64]> {
         let mut parts = vec![];
         for block in 0..self.first.len() - 1 {
             let (part, rest) = table.split_at_mut((self.first[block + 1] - self.first[block]) * width * WIDEST);
@@ -192,29 +190,6 @@ impl<const D: usize> Stencils<D> {
         Coefficients { first: self.first.clone(), value }
     }
 
-    fn pull_back_all<const Q: usize, const P: usize, const C: usize>(
-        &self,
-        position: &[Vec<f64>; D],
-        fields: &[&[f64]],
-        bar: &[Vec<[f64; C]>],
-        position_bar: &mut [Vec<f64>; D],
-    ) {
-        let padded = self.padded(position);
-        let mut pairs = vec![0.0; self.list.len() * D];
-        let kernel = Backward::<D, Q, P, C> { stencils: self, position: &padded, fields, bar };
-        run_parts(&kernel, self.parts(&mut pairs, D));
-        for i in 0..self.particles {
-            for k in 0..self.count(i) {
-                let j = self.neighbour(i, k);
-                for d in 0..D {
-                    let r_bar = pairs[((self.first[i / WIDEST] + k) * D + d) * WIDEST + i % WIDEST];
-                    position_bar[d][j] += r_bar;
-                    position_bar[d][i] -= r_bar;
-                }
-            }
-        }
-    }
-
     /// The first particle whose `nearest` neighbours are not apart and on their side, by 0.4 of their distance at the reference `places`
     /// along it, at positions `[D][N]`.
     pub fn folded(&self, places: &[[f64; D]], position: &[Vec<f64>; D], nearest: usize) -> Option<[f64; D]> {
@@ -235,14 +210,14 @@ impl<const D: usize> Stencils<D> {
     }
 
     /// A field with whole blocks.
-    fn padded_field(&self, field: &[f64]) -> Vec<f64> {
+    pub(super) fn padded_field(&self, field: &[f64]) -> Vec<f64> {
         let mut padded = Vec::with_capacity(blocks(self.particles) * WIDEST);
         padded.extend_from_slice(field);
         padded.resize(blocks(self.particles) * WIDEST, field[self.particles - 1]);
         padded
     }
 
-    fn padded(&self, position: &[Vec<f64>; D]) -> [Vec<f64>; D] {
+    pub(super) fn padded(&self, position: &[Vec<f64>; D]) -> [Vec<f64>; D] {
         std::array::from_fn(|d| self.padded_field(&position[d]))
     }
 }
@@ -255,30 +230,19 @@ macro_rules! in_dimension {
             pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
                 self.all_coefficients::<{ $monomials }, { packed($monomials) }, $coefficients>(position)
             }
-
-            /// The cotangents of positions `[D][N]`, added to `position_bar`, given those of the derivatives of fields.
-            ///
-            /// `fields`: F of `[N]`; `bar`: `[F][N][C]`, the cotangents of all derivatives and S of each field.
-            pub fn pull_back(
-                &self,
-                position: &[Vec<f64>; $dimension],
-                fields: &[&[f64]],
-                bar: &[Vec<[f64; $coefficients]>],
-                position_bar: &mut [Vec<f64>; $dimension],
-            ) {
-                self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
-                    position,
-                    fields,
-                    bar,
-                    position_bar,
-                );
-            }
         }
     };
 }
 
 in_dimension!(2, COEFFICIENTS, monomials(2));
 in_dimension!(3, COEFFICIENTS_3D, to_third(3));
+
+impl Stencils<2> {
+    /// The same of stencils whose fits are of third order.
+    pub fn coefficients_to_third(&self, position: &[Vec<f64>; 2]) -> Coefficients {
+        self.all_coefficients::<{ to_third(2) }, { packed(to_third(2)) }, COEFFICIENTS>(position)
+    }
+}
 
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]
@@ -306,6 +270,13 @@ impl<const C: usize> Coefficients<C> {
     pub fn of(&self, i: usize, k: usize) -> [f64; C] {
         let first = (self.first[i / WIDEST] + k) * C * WIDEST + i % WIDEST;
         std::array::from_fn(|c| self.value[first + c * WIDEST])
+    }
+
+    /// The first D of [`Self::of`].
+    #[inline(always)]
+    pub(super) fn slope<const D: usize>(&self, i: usize, k: usize) -> [f64; D] {
+        let first = (self.first[i / WIDEST] + k) * C * WIDEST + i % WIDEST;
+        std::array::from_fn(|d| self.value[first + d * WIDEST])
     }
 
     /// The derivatives of a field at particle i.
@@ -396,18 +367,18 @@ fn square_of<L: Lanes<Real = f64>, const D: usize>(s: &[L; D]) -> L {
 }
 
 /// The same in all lanes; what a fit needs of WIDEST or fewer particles.
-struct Fit<L, const Q: usize, const P: usize> {
-    factor: [L; P],
-    inverse_scale: L,
+pub(super) struct Fit<L, const Q: usize, const P: usize> {
+    pub factor: [L; P],
+    pub inverse_scale: L,
     /// sum_j W s^2.
-    square: L,
+    pub square: L,
     /// M^-1 sum_j W q.
     mean: [L; Q],
 }
 
 /// s of neighbour k of the particles from lane `l` of a block on, and its weight.
 #[inline(always)]
-fn offset<L: Lanes<Real = f64>, const D: usize>(
+pub(super) fn offset<L: Lanes<Real = f64>, const D: usize>(
     stencils: &Stencils<D>,
     position: &[Vec<f64>; D],
     (block, l, k): (usize, usize, usize),
@@ -427,14 +398,14 @@ fn offset<L: Lanes<Real = f64>, const D: usize>(
 
 /// The monomials of s; those of third order are 0 where `third` is.
 #[inline(always)]
-fn monomials_of<L: Lanes<Real = f64>, const D: usize, const Q: usize>(s: &[L; D], third: L) -> [L; Q] {
+pub(super) fn monomials_of<L: Lanes<Real = f64>, const D: usize, const Q: usize>(s: &[L; D], third: L) -> [L; Q] {
     let mut q = values::<L, D, Q>(s);
     (monomials(D)..Q).for_each(|a| q[a] = q[a] * third);
     q
 }
 
 #[inline(always)]
-fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
+pub(super) fn fit<L: Lanes<Real = f64>, const D: usize, const Q: usize, const P: usize>(
     stencils: &Stencils<D>,
     position: &[Vec<f64>; D],
     block: usize,
@@ -487,99 +458,6 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                     let to = (k * C + a) * WIDEST + l;
                     // SAFETY: COUNT lanes from l on are within the row of WIDEST.
                     unsafe { value.store(part[to..to + L::COUNT].as_mut_ptr()) };
-                }
-            }
-        }
-    }
-}
-
-struct Backward<'a, const D: usize, const Q: usize, const P: usize, const C: usize> {
-    stencils: &'a Stencils<D>,
-    position: &'a [Vec<f64>; D],
-    fields: &'a [&'a [f64]],
-    bar: &'a [Vec<[f64; C]>],
-}
-
-impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKernel<f64> for Backward<'a, D, Q, P, C> {
-    type Part = &'a mut [f64];
-
-    /// With lambda = M^-1 d_bar and e_j = f_j - f_i - d.q_j: q_bar = W sum_f (lambda e - d (lambda.q)), where S adds
-    /// -S_bar A sum_j W q to d_bar and -S_bar A W d to q_bar, A = 2 D / (h^2 sum W s^2).
-    #[inline(always)]
-    fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
-        let stencils = self.stencils;
-        let neighbours = stencils.count(block * WIDEST);
-        for l in (0..WIDEST).step_by(L::COUNT) {
-            let third = L::load_part(&stencils.third[block * WIDEST + l..]);
-            let Fit { factor, inverse_scale, square, .. } = fit::<L, D, Q, P>(stencils, self.position, block, l);
-            let lane = |of: &dyn Fn(usize) -> f64| -> L {
-                let mut numbers = [0.0; WIDEST];
-                for (lane, number) in numbers[..L::COUNT].iter_mut().enumerate() {
-                    let i = block * WIDEST + l + lane;
-                    *number = if i < stencils.particles { of(i) } else { 0.0 };
-                }
-                L::load_part(&numbers[..])
-            };
-            let second = inverse_scale * inverse_scale;
-            for to in (0..D * neighbours).map(|k| k * WIDEST + l) {
-                part[to..to + L::COUNT].fill(0.0);
-            }
-            for (values_of, bar) in self.fields.iter().zip(self.bar) {
-                let left = lane(&|i| bar[i][C - 1]) * L::splat(2.0 * D as f64) * second / square;
-                let own = lane(&|i| values_of[i]);
-                let difference = |k: usize| {
-                    let place = (stencils.first[block] + k) * WIDEST + l;
-                    let mut numbers = [0.0; WIDEST];
-                    for lane in 0..L::COUNT {
-                        numbers[lane] = values_of[stencils.list[place + lane] as usize];
-                    }
-                    L::load_part(&numbers[..]) - own
-                };
-                let (mut right, mut sum) = ([L::zero(); Q], [L::zero(); Q]);
-                for k in 0..neighbours {
-                    let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = monomials_of::<L, D, Q>(&s, third);
-                    let weighted = w * difference(k);
-                    for a in 0..Q {
-                        right[a] = weighted.mul_add(q[a], right[a]);
-                        sum[a] = w.mul_add(q[a], sum[a]);
-                    }
-                }
-                let d = solve::<L, Q, P>(&factor, right);
-                let mut d_bar = [L::zero(); Q];
-                for (a, d_bar) in d_bar.iter_mut().enumerate() {
-                    *d_bar = -(left * sum[a]);
-                    if a < C - 1 {
-                        let unit = if a < D { inverse_scale } else { second };
-                        *d_bar = lane(&|i| bar[i][a]) * unit + *d_bar;
-                    }
-                }
-                let lambda = solve::<L, Q, P>(&factor, d_bar);
-                // The cotangent of sum W s^2.
-                let mut rest = L::zero();
-                for k in 0..neighbours {
-                    let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = monomials_of::<L, D, Q>(&s, third);
-                    rest = w.mul_add(difference(k) - dot(&d, &q), rest);
-                }
-                let square_bar = -(left * rest) / square;
-                for k in 0..neighbours {
-                    let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
-                    let q = monomials_of::<L, D, Q>(&s, third);
-                    let (error, along) = (difference(k) - dot(&d, &q), dot(&lambda, &q));
-                    let mut q_bar = [L::zero(); Q];
-                    for a in 0..Q {
-                        q_bar[a] = w * (lambda[a] * error - d[a] * along - left * d[a]);
-                    }
-                    (monomials(D)..Q).for_each(|a| q_bar[a] = q_bar[a] * third);
-                    let s_bar = pull_back::<L, D, Q>(&s, &q_bar);
-                    for d in 0..D {
-                        let to = (D * k + d) * WIDEST + l;
-                        let value = (s_bar[d] + L::splat(2.0) * square_bar * w * s[d]) * inverse_scale;
-                        let sum = L::load_part(&part[to..to + L::COUNT]) + value;
-                        // SAFETY: COUNT lanes from l on are within the row of WIDEST.
-                        unsafe { sum.store(part[to..to + L::COUNT].as_mut_ptr()) };
-                    }
                 }
             }
         }

@@ -1,7 +1,8 @@
 //! Steps in time in the plane: solutions with the factors of one matrix for each size, see [`super::unsteady`].
 
 use super::equations::{Bar, Derivatives, Equations, State};
-use super::fit::{Coefficients, COEFFICIENTS};
+use super::fit::{Coefficients, Stencils, COEFFICIENTS};
+use super::fit_adjoint::PairCotangents;
 use super::steady::{Border, Factors, FlowRate, Held, NoSteadyState, Solver};
 use super::unsteady::{lagged, Guess, Scheme};
 use crate::numerics::sparse_lu::SparseLu;
@@ -25,10 +26,19 @@ impl Matrices {
     }
 }
 
+/// Cotangents of the coefficients of all derivatives, of those of the slopes of what is carried, and of positions.
+pub struct Sums {
+    derivatives: PairCotangents,
+    slopes: PairCotangents<2>,
+    /// Of positions themselves.
+    position: [Vec<f64>; 2],
+}
+
 /// Steps of a flow around one shape.
 pub struct March<'a> {
     solver: Solver,
     operators: &'a Coefficients,
+    carrying: &'a Coefficients,
     kept: Vec<Matrices>,
     border: Border,
     drives: bool,
@@ -38,18 +48,18 @@ pub struct March<'a> {
 }
 
 impl<'a> March<'a> {
-    /// `held`: a flow rate that is held, and how it follows from the state.
+    /// `carrying`: the coefficients of [`Equations::carriers`]; `held`: a flow rate that is held, and how it follows from the state.
     pub fn new(
         equations: Equations,
         places: &[[f64; 2]],
-        operators: &'a Coefficients,
+        [operators, carrying]: [&'a Coefficients; 2],
         held: Option<(&Held, &dyn FlowRate)>,
         threads: usize,
     ) -> Self {
         let damping = equations.damping.clone();
         let solver = Solver::of_size(equations, places, 3, threads);
         let border = solver.border_at_rest(operators, held);
-        Self { solver, operators, kept: vec![], border, drives: held.is_some(), damping, factorisations: 0 }
+        Self { solver, operators, carrying, kept: vec![], border, drives: held.is_some(), damping, factorisations: 0 }
     }
 
     /// The factors for a0 / dt.
@@ -99,8 +109,8 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         [self.border.pins, self.drives]
     }
 
-    fn carried_slopes(&self, state: &State) -> Vec<Vec<[f64; 2]>> {
-        self.solver.equations.carried_slopes(self.operators, state)
+    fn carriers(&self) -> (&Stencils, &Coefficients) {
+        (self.solver.equations.carriers(), self.carrying)
     }
 
     fn boundary_derivatives(&self, state: &State) -> Derivatives {
@@ -111,8 +121,40 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         self.solver.equations.by_fields(self.operators, bar)
     }
 
-    fn by_positions(&self, position: &[Vec<f64>; 2], state: &State, bar: &Bar) -> [Vec<f64>; 2] {
-        self.solver.equations.by_positions(position, state, bar)
+    type Sums = Sums;
+
+    fn sums(&self) -> Sums {
+        let equations = &self.solver.equations;
+        Sums {
+            derivatives: PairCotangents::zeros(&equations.stencils),
+            slopes: PairCotangents::zeros(equations.carriers()),
+            position: std::array::from_fn(|_| vec![0.0; equations.particles()]),
+        }
+    }
+
+    fn add_to(&self, sums: &mut Sums, _position: &[Vec<f64>; 2], state: &State, bar: &mut Bar, advection: &[Vec<f64>]) {
+        let equations = &self.solver.equations;
+        let [u, v, p, t] = &state.fields;
+        let (all, count): ([&[f64]; 4], _) = ([u, v, p, t], if self.has_heat() { 4 } else { 3 });
+        let of = |f: usize, i: usize| bar.derivatives.0[f][i];
+        sums.derivatives.add(&equations.stencils, &all[..count], u.len(), of);
+        let carried: [&[f64]; 3] = [u, v, t];
+        let of = |f: usize, i: usize| [u[i], v[i]].map(|u| advection[f][i] * u);
+        sums.slopes.add(equations.carriers(), &carried[..count - 1], equations.inside, of);
+        for (sums, bar) in sums.position.iter_mut().zip(&bar.position) {
+            sums.iter_mut().zip(bar).for_each(|(sum, bar)| *sum += bar);
+        }
+    }
+
+    fn by_sums(&self, position: &[Vec<f64>; 2], sums: Sums) -> [Vec<f64>; 2] {
+        let equations = &self.solver.equations;
+        let mut found = sums.position;
+        equations.stencils.pull_back_pairs(position, &sums.derivatives, &mut found);
+        match &equations.carrying {
+            Some(stencils) => stencils.pull_back_slopes_to_third(position, &sums.slopes, &mut found),
+            None => equations.stencils.pull_back_slopes(position, &sums.slopes, &mut found),
+        }
+        found
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {

@@ -15,6 +15,7 @@ pub mod deformation;
 pub mod equations;
 pub mod figures;
 pub mod fit;
+pub mod fit_adjoint;
 pub mod interpolation;
 pub mod march;
 pub mod nearest;

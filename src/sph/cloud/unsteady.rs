@@ -19,6 +19,7 @@
 //! from how far the fluid may go, in spacings: advection is explicit.
 
 use super::equations::{Bar, Condition, Derivatives, Motion, State, Warmth};
+use super::fit::{Coefficients, Stencils};
 use super::steady::NoSteadyState;
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::borrow::Cow;
@@ -141,14 +142,28 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
     fn buoyancy(&self) -> Option<Buoyancy>;
     /// Whether lambda is an unknown, and the drive.
     fn extra(&self) -> [bool; 2];
-    /// The slopes of the velocity and, with heat, of T at particles inside.
-    fn carried_slopes(&self, state: &State<F>) -> Vec<Vec<[f64; D]>>;
+    /// Stencils and coefficients of the slopes of what the flow carries.
+    fn carriers(&self) -> (&Stencils<D>, &Coefficients<C>);
     /// Derivatives at the boundary.
     fn boundary_derivatives(&self, state: &State<F>) -> Derivatives<F, C>;
     /// See [`super::equations::Equations::by_fields`].
     fn by_fields(&self, bar: &Bar<D, F, C>) -> [Vec<f64>; F];
-    /// See [`super::equations::Equations::by_positions`].
-    fn by_positions(&self, position: &[Vec<f64>; D], state: &State<F>, bar: &Bar<D, F, C>) -> [Vec<f64>; D];
+    /// What is known of the cotangents of positions while steps are gone through.
+    type Sums;
+    /// Nothing.
+    fn sums(&self) -> Self::Sums;
+    /// Adds what the derivatives of a state and the slopes of what is carried know of them, given the cotangents of the derivatives
+    /// in `bar`, to which those of the slopes may be added, and of the advection, `[carried][inside]`.
+    fn add_to(
+        &self,
+        sums: &mut Self::Sums,
+        position: &[Vec<f64>; D],
+        state: &State<F>,
+        bar: &mut Bar<D, F, C>,
+        advection: &[Vec<f64>],
+    );
+    /// The cotangents of positions.
+    fn by_sums(&self, position: &[Vec<f64>; D], sums: Self::Sums) -> [Vec<f64>; D];
     /// See [`super::equations::Equations::pull_back_linear`]; `rate`: a0 / dt.
     fn pull_back_linear(
         &mut self,
@@ -172,6 +187,13 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
     /// The fields that the flow carries: the velocity, and T with heat.
     fn carried(&self) -> Vec<usize> {
         (0..D).chain(self.has_heat().then_some(D + 1)).collect()
+    }
+
+    /// The slopes of what is carried at particles inside, `[carried][inside]`.
+    fn carried_slopes(&self, state: &State<F>) -> Vec<Vec<[f64; D]>> {
+        let (stencils, coefficients) = self.carriers();
+        let fields: Vec<&[f64]> = self.carried().into_iter().map(|field| &state.fields[field][..]).collect();
+        coefficients.slopes(stencils, &fields, self.inside())
     }
 
     /// A state as a level.

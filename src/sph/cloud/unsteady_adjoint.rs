@@ -6,12 +6,30 @@
 //!   A^T y = z_bar+,   u_bar += a1 y,   u_bar- -= a2 y,   N_bar -= (1 + r) y,   N_bar- += r y,   x_bar -= y^T (dA/dx) z+,
 //! ```
 //!
-//! and N(f) = u . grad f gives its cotangent to u, f and the positions. States are kept at the ends of segments and made again
-//! within each, about as many segments as steps in one.
+//! and N(f) = u . grad f gives its cotangent to u, f and the positions. In the plane, what positions get is summed over all steps as
+//! cotangents of the fits' coefficients ([`super::fit_adjoint`]).
+//!
+//! States are kept in [`MEMORY`]: those of all steps if they have room there, else those at the beginnings of segments, within each of
+//! which they are made again, but for the last one.
 
 use super::equations::{Bar, Condition, State};
 use super::steady::NoSteadyState;
 use super::unsteady::{InTime, Level, Scheme, Step};
+
+/// Bytes that the states of a run may take.
+pub const MEMORY: usize = 500_000_000;
+
+/// The segments of `steps` steps, the first one with what is left over: as long as room for `most` states, two of them at the
+/// beginning of each, allows.
+fn segments(steps: usize, most: usize) -> Vec<(usize, usize)> {
+    let (most, steps_within) = (most as f64, 2.0 * steps as f64);
+    // The larger of the two lengths for which length + 2 steps / length is `most`; the least memory has sqrt(2 steps).
+    let longest = 0.5 * (most + (most * most - 4.0 * steps_within).max(0.0).sqrt());
+    let length = (longest.max(steps_within.sqrt()) as usize).clamp(1, steps.max(1));
+    let first = (steps + length - 1) % length + 1;
+    let later = (first..steps).step_by(length).map(|from| (from, from + length));
+    (steps > 0).then_some((0, first)).into_iter().chain(later).collect()
+}
 
 /// A flow whose steps have been taken.
 pub struct Taken<'a, const D: usize, const F: usize, const C: usize> {
@@ -21,6 +39,8 @@ pub struct Taken<'a, const D: usize, const F: usize, const C: usize> {
     pub flow_rate: Option<f64>,
     pub first: &'a State<F>,
     pub sizes: &'a [f64],
+    /// Bytes for states.
+    pub memory: usize,
     /// Adds the cotangents of the flow rate times a number to a bar, for one that is held.
     pub flow_rate_back: &'a dyn Fn(&State<F>, f64, &mut Bar<D, F, C>),
 }
@@ -33,11 +53,11 @@ pub struct Cotangents<const D: usize, const F: usize, const C: usize> {
     pub parameters: Vec<f64>,
 }
 
-/// Cotangents of a state's fields and of its advection.
+/// Cotangents of a state's fields and of its advection, `[carried][inside]`.
 #[derive(Clone)]
 struct Back<const F: usize> {
     fields: [Vec<f64>; F],
-    advection: Vec<[f64; F]>,
+    advection: Vec<Vec<f64>>,
 }
 
 impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
@@ -83,36 +103,37 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             time + dt
         });
         let usual = self.boundary.conditions(0.0);
-        let length = ((steps as f64).sqrt().ceil() as usize).max(1);
-        // The states at the beginnings of segments, and those before them.
-        let mut kept: Vec<[Level<F>; 2]> = vec![[Level::none(), march.level(self.first.clone())]];
-        for from in (0..steps).step_by(length) {
-            let to = (from + length).min(steps);
-            let start = kept[kept.len() - 1].clone();
-            let levels = self.levels(march, (from, to), &times, &usual, start)?;
-            kept.push([levels[levels.len() - 2].clone(), levels[levels.len() - 1].clone()]);
+        let bytes = size_of::<f64>() * F * (n + inside);
+        let parts = segments(steps, self.memory / bytes.max(1));
+        // The states that segments begin with and those before them, and all levels of the last one.
+        let mut starts = vec![[Level::none(), march.level(self.first.clone())]];
+        let mut levels = vec![];
+        for (k, &part) in parts.iter().enumerate() {
+            levels.clear();
+            levels = self.levels(march, part, &times, &usual, starts[k].clone())?;
+            let end = levels.len() - 2;
+            starts.push([levels[end].clone(), levels[end + 1].clone()]);
         }
-        kept.pop();
-        let zero = Back { fields: std::array::from_fn(|_| vec![0.0; n]), advection: vec![[0.0; F]; inside] };
+        let carried = march.carried();
+        let zero =
+            Back { fields: std::array::from_fn(|_| vec![0.0; n]), advection: vec![vec![0.0; inside]; carried.len()] };
         let mut found = Cotangents {
             bar: Bar::new(n, count),
             position: std::array::from_fn(|_| vec![0.0; n]),
             parameters: vec![0.0; parameters],
         };
+        let (mut sums, mut bar) = (march.sums(), Bar::new(n, count));
         // Of the state that is looked at, and of the one before it.
         let (mut now, mut before) = (zero.clone(), zero.clone());
-        for (segment, start) in kept.into_iter().enumerate().rev() {
-            let (from, to) = (segment * length, ((segment + 1) * length).min(steps));
-            let levels = self.levels(march, (from, to), &times, &usual, start)?;
+        for (&(from, to), start) in parts.iter().zip(starts).rev() {
+            if levels.is_empty() {
+                levels = self.levels(march, (from, to), &times, &usual, start)?;
+            }
             for k in (from..to).rev() {
                 let state = &levels[k - from + 2].state;
-                let mut bar = Bar::new(n, count);
+                bar.clear();
                 figures(k, state, &mut bar);
-                self.of_level(march, state, &now, &mut bar);
-                let mut right = march.by_fields(&bar);
-                right.iter_mut().zip(&now.fields).for_each(|(all, own)| {
-                    all.iter_mut().zip(own).for_each(|(all, own)| *all += own);
-                });
+                let mut right = Self::of_state(march, state, &now, &bar);
                 let (r, [a0, a1, a2]) = self.step(k).weights();
                 let y = march.solve_flow(a0, &self.of_flow(march, &right, bar.drive), None)?;
                 let mut earlier = zero.clone();
@@ -125,13 +146,13 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                     }
                     heat = march.solve_heat(a0, &right_t, None)?;
                 }
-                for field in march.carried() {
+                for (c, &field) in carried.iter().enumerate() {
                     for i in 0..inside {
                         let y = if field < D { y[size * i + field] } else { heat[i] };
                         before.fields[field][i] += a1 * y;
-                        before.advection[i][field] -= (1.0 + r) * y;
+                        before.advection[c][i] -= (1.0 + r) * y;
                         earlier.fields[field][i] -= a2 * y;
-                        earlier.advection[i][field] += r * y;
+                        earlier.advection[c][i] += r * y;
                     }
                 }
                 // What the matrices know of positions and walls.
@@ -144,18 +165,21 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                     // The held flow rate depends on positions too.
                     (self.flow_rate_back)(state, -multiplier, &mut bar);
                 }
-                self.gather(march, times[k], state, bar, &mut found);
+                march.add_to(&mut sums, self.position, state, &mut bar, &now.advection);
+                self.gather(times[k], &bar, &mut found);
                 now = std::mem::replace(&mut before, earlier);
             }
+            levels.clear();
         }
         // The state at the start: what it is inside is given; on walls it is what these are.
-        let mut bar = Bar::new(n, count);
-        self.of_level(march, self.first, &now, &mut bar);
-        let fields = march.by_fields(&bar);
-        let total: [Vec<f64>; F] =
-            std::array::from_fn(|f| fields[f].iter().zip(&now.fields[f]).map(|(a, b)| a + b).collect());
+        bar.clear();
+        let total = Self::of_state(march, self.first, &now, &bar);
         self.boundary.of_start(&total, &mut bar, &mut found.position);
-        self.gather(march, 0.0, self.first, bar, &mut found);
+        march.add_to(&mut sums, self.position, self.first, &mut bar, &now.advection);
+        self.gather(0.0, &bar, &mut found);
+        for (to, from) in found.position.iter_mut().zip(march.by_sums(self.position, sums)) {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
+        }
         if !self.boundary.changes() {
             let Cotangents { bar, position, parameters } = &mut found;
             self.boundary.pull_back(0.0, bar, position, parameters);
@@ -173,35 +197,30 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         right
     }
 
-    /// The cotangent of a level's advection, in those of its derivatives and fields.
-    fn of_level(&self, march: &impl Scheme<D, F, C>, state: &State<F>, back: &Back<F>, bar: &mut Bar<D, F, C>) {
-        let slopes = march.carried_slopes(state);
-        for (slopes, field) in slopes.iter().zip(march.carried()) {
-            for (i, advection) in back.advection.iter().enumerate() {
-                let weight = advection[field];
-                for e in 0..D {
-                    bar.fields[e][i] += weight * slopes[i][e];
-                    bar.derivatives.0[field][i][e] += weight * state.fields[e][i];
-                }
+    /// The cotangents of a state's fields, given those of its figures in `bar` and what later steps have of it.
+    fn of_state(march: &impl Scheme<D, F, C>, state: &State<F>, back: &Back<F>, bar: &Bar<D, F, C>) -> [Vec<f64>; F] {
+        let mut fields = march.by_fields(bar);
+        for (to, own) in fields.iter_mut().zip(&back.fields) {
+            to.iter_mut().zip(own).for_each(|(to, own)| *to += own);
+        }
+        for (slopes, weights) in march.carried_slopes(state).iter().zip(&back.advection) {
+            for (i, (slope, weight)) in slopes.iter().zip(weights).enumerate() {
+                (0..D).for_each(|e| fields[e][i] += weight * slope[e]);
             }
         }
+        let (stencils, coefficients) = march.carriers();
+        let velocity: [&[f64]; D] = std::array::from_fn(|e| &state.fields[e][..]);
+        let found = coefficients.carried_back(stencils, &velocity, &back.advection);
+        for (field, found) in march.carried().into_iter().zip(found) {
+            fields[field].iter_mut().zip(found).for_each(|(to, from)| *to += from);
+        }
+        fields
     }
 
-    /// Adds what a moment's bar says of positions and walls.
-    fn gather(
-        &self,
-        march: &impl Scheme<D, F, C>,
-        time: f64,
-        state: &State<F>,
-        bar: Bar<D, F, C>,
-        found: &mut Cotangents<D, F, C>,
-    ) {
-        let positions = march.by_positions(self.position, state, &bar);
-        for (to, from) in found.position.iter_mut().zip(&positions) {
-            to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
-        }
+    /// Adds what a moment's bar says of walls.
+    fn gather(&self, time: f64, bar: &Bar<D, F, C>, found: &mut Cotangents<D, F, C>) {
         if self.boundary.changes() {
-            self.boundary.pull_back(time, &bar, &mut found.position, &mut found.parameters);
+            self.boundary.pull_back(time, bar, &mut found.position, &mut found.parameters);
         }
         for (to, from) in found.bar.boundary.iter_mut().zip(&bar.boundary) {
             for e in 0..D {

@@ -118,13 +118,6 @@ impl Equations {
         d
     }
 
-    /// The slopes along x, y and z of the velocity and, with heat, of T at particles inside.
-    pub fn carried_slopes(&self, operators: &Coefficients<C>, state: &State) -> Vec<Vec<[f64; 3]>> {
-        let [u, v, w, _, t] = &state.fields;
-        let fields: &[&[f64]] = if self.diffusivity.is_some() { &[u, v, w, t] } else { &[u, v, w] };
-        operators.slopes(&self.fits.all, fields, self.inside)
-    }
-
     /// The acceleration that drives the fluid.
     pub fn push(&self, state: &State, e: usize) -> f64 {
         self.force[e] + if e == 0 { state.drive } else { 0.0 }

@@ -6,7 +6,7 @@
 //! size, and there are about six sizes.) It ends at 1e-10 of the residual that the state before the step leaves, far below the error of the step, so that derivatives by
 //! the transposed iteration agree with differences.
 
-use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
+use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
 use super::super::steady::NoSteadyState;
 use super::super::unsteady::{lagged, Guess, Scheme};
 use super::equations::{Bar, Derivatives, Equations, State, FLOW, TEMPERATURE};
@@ -165,8 +165,8 @@ impl Scheme<3, 5, C> for March<'_> {
         self.extra
     }
 
-    fn carried_slopes(&self, state: &State) -> Vec<Vec<[f64; 3]>> {
-        self.solver.equations.carried_slopes(self.operators, state)
+    fn carriers(&self) -> (&Stencils<3>, &Coefficients<C>) {
+        (&self.solver.equations.fits.all, self.operators)
     }
 
     fn boundary_derivatives(&self, state: &State) -> Derivatives {
@@ -177,8 +177,34 @@ impl Scheme<3, 5, C> for March<'_> {
         self.solver.equations.by_fields(self.operators, bar)
     }
 
-    fn by_positions(&self, position: &[Vec<f64>; 3], state: &State, bar: &Bar) -> [Vec<f64>; 3] {
-        self.solver.equations.by_positions(position, state, bar)
+    /// The cotangents themselves: a step costs far more than they do.
+    type Sums = [Vec<f64>; 3];
+
+    fn sums(&self) -> [Vec<f64>; 3] {
+        std::array::from_fn(|_| vec![0.0; self.particles()])
+    }
+
+    fn add_to(
+        &self,
+        sums: &mut [Vec<f64>; 3],
+        position: &[Vec<f64>; 3],
+        state: &State,
+        bar: &mut Bar,
+        advection: &[Vec<f64>],
+    ) {
+        for (field, weights) in self.carried().into_iter().zip(advection) {
+            for (i, weight) in weights.iter().enumerate() {
+                (0..3).for_each(|e| bar.derivatives.0[field][i][e] += weight * state.fields[e][i]);
+            }
+        }
+        let found = self.solver.equations.by_positions(position, state, bar);
+        for (sums, found) in sums.iter_mut().zip(&found) {
+            sums.iter_mut().zip(found).for_each(|(sum, found)| *sum += found);
+        }
+    }
+
+    fn by_sums(&self, _position: &[Vec<f64>; 3], sums: [Vec<f64>; 3]) -> [Vec<f64>; 3] {
+        sums
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {

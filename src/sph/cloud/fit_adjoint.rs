@@ -1,0 +1,363 @@
+//! The adjoint of [`super::fit`]: cotangents of positions, given those of derivatives.
+//!
+//! Derivatives are sums over pairs, d_a = sum_j c_ja (f_j - f_i), so the cotangent of a coefficient c_ja is d_bar_a (f_j - f_i), summed
+//! over fields; and over times where particles stay while the flow goes on, so that positions are looked at once, after all of
+//! them.
+
+use super::fit::{blocks, fit, monomials_of, offset, Coefficients, Fit, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
+use crate::numerics::lanes::{array, Lanes, WIDEST};
+use crate::numerics::sweep::{run_parts, PartKernel};
+use crate::sph::consistent::stencil::{dot, monomials, packed, pull_back, solve, to_third};
+
+/// Cotangents of all coefficients, `[blocks, K, C, WIDEST]`.
+#[derive(Debug, Clone)]
+pub struct PairCotangents<const C: usize = COEFFICIENTS> {
+    value: Vec<f64>,
+}
+
+impl<const C: usize> PairCotangents<C> {
+    pub fn zeros<const D: usize>(stencils: &Stencils<D>) -> Self {
+        Self { value: vec![0.0; stencils.list.len() * C] }
+    }
+
+    /// Adds those of fields `[N]`, given the cotangents of the first C derivatives (all of them and S) of each at some first particles:
+    /// `bar(field, particle)`.
+    ///
+    /// # Panics
+    /// More than five fields.
+    pub fn add<const D: usize>(
+        &mut self,
+        stencils: &Stencils<D>,
+        fields: &[&[f64]],
+        particles: usize,
+        bar: impl Fn(usize, usize) -> [f64; C] + Sync,
+    ) {
+        assert!(fields.len() <= FIELDS);
+        let padded: Vec<Vec<f64>> = fields.iter().map(|field| stencils.padded_field(field)).collect();
+        let parts = stencils.parts(&mut self.value, C).into_iter().take(blocks(particles));
+        run_parts(&Collect { stencils, fields: &padded, particles, bar }, parts);
+    }
+}
+
+/// Fields of a flow in space: three velocities, pressure and temperature.
+const FIELDS: usize = 5;
+
+struct Collect<'a, F, const D: usize, const C: usize> {
+    stencils: &'a Stencils<D>,
+    fields: &'a [Vec<f64>],
+    particles: usize,
+    bar: F,
+}
+
+impl<'a, F, const D: usize, const C: usize> PartKernel<f64> for Collect<'a, F, D, C>
+where
+    F: Fn(usize, usize) -> [f64; C] + Sync,
+{
+    type Part = &'a mut [f64];
+
+    #[inline(always)]
+    fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
+        let (stencils, count) = (self.stencils, self.fields.len());
+        for l in (0..WIDEST).step_by(L::COUNT) {
+            let mut numbers = [[[0.0; WIDEST]; C]; FIELDS];
+            for f in 0..count {
+                for lane in 0..L::COUNT {
+                    let i = block * WIDEST + l + lane;
+                    if i < self.particles {
+                        let bar = (self.bar)(f, i);
+                        for a in 0..C {
+                            numbers[f][a][lane] = bar[a];
+                        }
+                    }
+                }
+            }
+            for k in 0..stencils.count(block * WIDEST) {
+                let place = (stencils.first[block] + k) * WIDEST + l;
+                let to = k * C * WIDEST + l;
+                let mut sums: [L; C] = array(|a| L::load_part(&part[to + a * WIDEST..]));
+                for f in 0..count {
+                    let field = &self.fields[f];
+                    // SAFETY: the tables have whole blocks, and the list names particles.
+                    let other = unsafe { L::gather(field.as_ptr(), stencils.list.as_ptr().add(place)) };
+                    let difference = other - L::load_part(&field[block * WIDEST + l..]);
+                    for a in 0..C {
+                        sums[a] = L::load_part(&numbers[f][a]).mul_add(difference, sums[a]);
+                    }
+                }
+                for (a, sum) in sums.into_iter().enumerate() {
+                    // SAFETY: COUNT lanes from l on are within the row of WIDEST.
+                    unsafe { sum.store(part[to + a * WIDEST..][..L::COUNT].as_mut_ptr()) };
+                }
+            }
+        }
+    }
+}
+
+impl<const D: usize> Stencils<D> {
+    fn pull_back_all<const Q: usize, const P: usize, const C: usize>(
+        &self,
+        position: &[Vec<f64>; D],
+        known: Known<'_, C>,
+        position_bar: &mut [Vec<f64>; D],
+    ) {
+        let padded = self.padded(position);
+        let mut pairs = vec![0.0; self.list.len() * D];
+        let kernel = Backward::<D, Q, P, C> { stencils: self, position: &padded, known };
+        run_parts(&kernel, self.parts(&mut pairs, D));
+        for i in 0..self.particles {
+            for k in 0..self.count(i) {
+                let j = self.neighbour(i, k);
+                for d in 0..D {
+                    let r_bar = pairs[((self.first[i / WIDEST] + k) * D + d) * WIDEST + i % WIDEST];
+                    position_bar[d][j] += r_bar;
+                    position_bar[d][i] -= r_bar;
+                }
+            }
+        }
+    }
+}
+
+/// What adjoints in a number of dimensions are made of.
+macro_rules! in_dimension {
+    ($dimension: literal, $coefficients: ident, $monomials: expr) => {
+        impl Stencils<$dimension> {
+            /// The cotangents of positions `[D][N]`, added to `position_bar`, given those of the derivatives of fields.
+            ///
+            /// `fields`: F of `[N]`; `bar`: `[F][N][C]`, the cotangents of all derivatives and S of each field.
+            pub fn pull_back(
+                &self,
+                position: &[Vec<f64>; $dimension],
+                fields: &[&[f64]],
+                bar: &[Vec<[f64; $coefficients]>],
+                position_bar: &mut [Vec<f64>; $dimension],
+            ) {
+                let known = Known::Fields(fields, bar);
+                self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
+                    position,
+                    known,
+                    position_bar,
+                );
+            }
+
+            /// The same, given the cotangents of all pairs' coefficients.
+            pub fn pull_back_pairs(
+                &self,
+                position: &[Vec<f64>; $dimension],
+                pairs: &PairCotangents<$coefficients>,
+                position_bar: &mut [Vec<f64>; $dimension],
+            ) {
+                let known = Known::Pairs(&pairs.value, $coefficients);
+                self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
+                    position,
+                    known,
+                    position_bar,
+                );
+            }
+        }
+    };
+}
+
+in_dimension!(2, COEFFICIENTS, monomials(2));
+in_dimension!(3, COEFFICIENTS_3D, to_third(3));
+
+impl Stencils<2> {
+    /// The same, given the cotangents of slopes alone.
+    pub fn pull_back_slopes(
+        &self,
+        position: &[Vec<f64>; 2],
+        pairs: &PairCotangents<2>,
+        position_bar: &mut [Vec<f64>; 2],
+    ) {
+        let known = Known::Pairs(&pairs.value, 2);
+        self.pull_back_all::<{ monomials(2) }, { packed(monomials(2)) }, COEFFICIENTS>(position, known, position_bar);
+    }
+
+    /// The same of stencils whose fits are of third order, given the cotangents of slopes alone.
+    pub fn pull_back_slopes_to_third(
+        &self,
+        position: &[Vec<f64>; 2],
+        pairs: &PairCotangents<2>,
+        position_bar: &mut [Vec<f64>; 2],
+    ) {
+        let known = Known::Pairs(&pairs.value, 2);
+        self.pull_back_all::<{ to_third(2) }, { packed(to_third(2)) }, COEFFICIENTS>(position, known, position_bar);
+    }
+}
+
+/// Parts of the particles whose sums are apart from each other, for any number of threads.
+const PARTS: usize = 4;
+
+impl<const C: usize> Coefficients<C> {
+    /// The cotangents of fields `[N]` by the slopes in u . grad of each at the first particles, `weight`: `[fields][count]`.
+    pub fn carried_back<const D: usize>(
+        &self,
+        stencils: &Stencils<D>,
+        velocity: &[&[f64]; D],
+        weight: &[Vec<f64>],
+    ) -> Vec<Vec<f64>> {
+        let (n, count) = (stencils.particles, weight.first().map_or(0, Vec::len));
+        let share = count.div_ceil(WIDEST).div_ceil(PARTS) * WIDEST;
+        let mut sums = vec![vec![vec![0.0; n]; weight.len()]; PARTS];
+        run_parts(&Carried { coefficients: self, stencils, velocity, weight, share }, sums.iter_mut());
+        let mut parts = sums.into_iter();
+        let mut all = parts.next().unwrap_or_default();
+        for (to, from) in parts.flat_map(|part| part.into_iter().enumerate()) {
+            all[to].iter_mut().zip(from).for_each(|(to, from)| *to += from);
+        }
+        all
+    }
+}
+
+struct Carried<'a, const D: usize, const C: usize> {
+    coefficients: &'a Coefficients<C>,
+    stencils: &'a Stencils<D>,
+    velocity: &'a [&'a [f64]; D],
+    weight: &'a [Vec<f64>],
+    /// Particles of a part.
+    share: usize,
+}
+
+impl<'a, const D: usize, const C: usize> PartKernel<f64> for Carried<'a, D, C> {
+    /// `[fields][N]`.
+    type Part = &'a mut Vec<Vec<f64>>;
+
+    #[inline(always)]
+    fn part<L: Lanes<Real = f64>>(&self, number: usize, part: &mut Self::Part) {
+        let (stencils, count) = (self.stencils, self.weight[0].len());
+        for i in number * self.share..count.min((number + 1) * self.share) {
+            for k in 0..stencils.count(i) {
+                let slope = self.coefficients.slope::<D>(i, k);
+                let (mut along, j) = (0.0, stencils.neighbour(i, k));
+                for e in 0..D {
+                    along += self.velocity[e][i] * slope[e];
+                }
+                for (weight, to) in self.weight.iter().zip(part.iter_mut()) {
+                    to[j] += along * weight[i];
+                    to[i] -= along * weight[i];
+                }
+            }
+        }
+    }
+}
+
+/// What is known of the coefficients' cotangents: for each of some fields the numbers of particles and the cotangents of their
+/// derivatives, or the sums of [`PairCotangents`].
+enum Known<'a, const C: usize> {
+    Fields(&'a [&'a [f64]], &'a [Vec<[f64; C]>]),
+    /// With the number of coefficients that are not 0, the first ones.
+    Pairs(&'a [f64], usize),
+}
+
+impl<const C: usize> Known<'_, C> {
+    /// Number of products of a vector over the derivatives with one over the neighbours; sums of pairs have one for each derivative.
+    fn products(&self) -> usize {
+        match self {
+            Self::Fields(fields, _) => fields.len(),
+            Self::Pairs(_, coefficients) => *coefficients,
+        }
+    }
+}
+
+struct Backward<'a, const D: usize, const Q: usize, const P: usize, const C: usize> {
+    stencils: &'a Stencils<D>,
+    position: &'a [Vec<f64>; D],
+    known: Known<'a, C>,
+}
+
+impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKernel<f64> for Backward<'a, D, Q, P, C> {
+    type Part = &'a mut [f64];
+
+    /// With lambda = M^-1 d_bar and e_j = f_j - f_i - d.q_j: q_bar = W sum_f (lambda e - d (lambda.q)), where S adds
+    /// -S_bar A sum_j W q to d_bar and -S_bar A W d to q_bar, A = 2 D / (h^2 sum W s^2).
+    #[inline(always)]
+    fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
+        let stencils = self.stencils;
+        let neighbours = stencils.count(block * WIDEST);
+        for l in (0..WIDEST).step_by(L::COUNT) {
+            let third = L::load_part(&stencils.third[block * WIDEST + l..]);
+            let Fit { factor, inverse_scale, square, .. } = fit::<L, D, Q, P>(stencils, self.position, block, l);
+            let lane = |of: &dyn Fn(usize) -> f64| -> L {
+                let mut numbers = [0.0; WIDEST];
+                for (lane, number) in numbers[..L::COUNT].iter_mut().enumerate() {
+                    let i = block * WIDEST + l + lane;
+                    *number = if i < stencils.particles { of(i) } else { 0.0 };
+                }
+                L::load_part(&numbers[..])
+            };
+            let second = inverse_scale * inverse_scale;
+            for to in (0..D * neighbours).map(|k| k * WIDEST + l) {
+                part[to..to + L::COUNT].fill(0.0);
+            }
+            for product in 0..self.known.products() {
+                let derivative = |a: usize| match self.known {
+                    Known::Fields(_, bar) => lane(&|i| bar[product][i][a]),
+                    Known::Pairs(..) => L::splat(if a == product { 1.0 } else { 0.0 }),
+                };
+                let left = derivative(C - 1) * L::splat(2.0 * D as f64) * second / square;
+                let own = match self.known {
+                    Known::Fields(fields, _) => lane(&|i| fields[product][i]),
+                    Known::Pairs(..) => L::zero(),
+                };
+                let difference = |k: usize| match self.known {
+                    Known::Fields(fields, _) => {
+                        let place = (stencils.first[block] + k) * WIDEST + l;
+                        let mut numbers = [0.0; WIDEST];
+                        for lane in 0..L::COUNT {
+                            numbers[lane] = fields[product][stencils.list[place + lane] as usize];
+                        }
+                        L::load_part(&numbers[..]) - own
+                    }
+                    Known::Pairs(pairs, count) => {
+                        L::load_part(&pairs[((stencils.first[block] + k) * count + product) * WIDEST + l..])
+                    }
+                };
+                let (mut right, mut sum) = ([L::zero(); Q], [L::zero(); Q]);
+                for k in 0..neighbours {
+                    let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
+                    let q = monomials_of::<L, D, Q>(&s, third);
+                    let weighted = w * difference(k);
+                    for a in 0..Q {
+                        right[a] = weighted.mul_add(q[a], right[a]);
+                        sum[a] = w.mul_add(q[a], sum[a]);
+                    }
+                }
+                let d = solve::<L, Q, P>(&factor, right);
+                let mut d_bar = [L::zero(); Q];
+                for (a, d_bar) in d_bar.iter_mut().enumerate() {
+                    *d_bar = -(left * sum[a]);
+                    if a < C - 1 {
+                        let unit = if a < D { inverse_scale } else { second };
+                        *d_bar = derivative(a) * unit + *d_bar;
+                    }
+                }
+                let lambda = solve::<L, Q, P>(&factor, d_bar);
+                // The cotangent of sum W s^2.
+                let mut rest = L::zero();
+                for k in 0..neighbours {
+                    let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
+                    let q = monomials_of::<L, D, Q>(&s, third);
+                    rest = w.mul_add(difference(k) - dot(&d, &q), rest);
+                }
+                let square_bar = -(left * rest) / square;
+                for k in 0..neighbours {
+                    let (s, w) = offset(stencils, self.position, (block, l, k), inverse_scale);
+                    let q = monomials_of::<L, D, Q>(&s, third);
+                    let (error, along) = (difference(k) - dot(&d, &q), dot(&lambda, &q));
+                    let mut q_bar = [L::zero(); Q];
+                    for a in 0..Q {
+                        q_bar[a] = w * (lambda[a] * error - d[a] * along - left * d[a]);
+                    }
+                    (monomials(D)..Q).for_each(|a| q_bar[a] = q_bar[a] * third);
+                    let s_bar = pull_back::<L, D, Q>(&s, &q_bar);
+                    for d in 0..D {
+                        let to = (D * k + d) * WIDEST + l;
+                        let value = (s_bar[d] + L::splat(2.0) * square_bar * w * s[d]) * inverse_scale;
+                        let sum = L::load_part(&part[to..to + L::COUNT]) + value;
+                        // SAFETY: COUNT lanes from l on are within the row of WIDEST.
+                        unsafe { sum.store(part[to..to + L::COUNT].as_mut_ptr()) };
+                    }
+                }
+            }
+        }
+    }
+}
