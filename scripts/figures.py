@@ -13,6 +13,7 @@ bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has mea
 The tables need no packages. Build first: cargo build --release (or HYDROGRAD=PROGRAM). Results go to runs/figures/.
 """
 import csv
+import hashlib
 import json
 import math
 import os
@@ -30,10 +31,8 @@ from speed import FIGURES as SPEED
 from speed import OUT, PROGRAM
 
 SHAPES = os.path.join(ROOT, "data/reference/fem-shapes-H0.2.csv")
-# Finite elements (data/reference/README.md): Q and u_max of the flat wall, dQ/d offset at nodes 0.26 ... 0.74.
-FEM = {0.2: (0.0234764, 1.15, 0.153333), 0.26: (0.02860, 1.9435, 0.33687)}
-FEM_GRADIENT = [8.2, 2.1, 0.1, -0.6, -1.0, -1.2, -1.3, -1.4, -1.5, -1.5, -1.6, -1.6, -1.6, -1.6, -1.6, -1.6, -1.6, -1.6,
-                -1.5, -1.3, -1.1, -0.6, 0.2, 2.3, 8.5]
+SHARP = os.path.join(ROOT, "data/reference/fem-sharp.csv")
+GRADIENT = os.path.join(ROOT, "data/reference/fem-sharp-gradient.csv")
 NODES = [round(0.26 + 0.02 * k, 4) for k in range(25)]
 
 
@@ -65,6 +64,17 @@ def simulate(name, **values):
     return load(folder) if folder else None
 
 
+def reference(path):
+    with open(path) as file:
+        return list(csv.DictReader(file))
+
+
+def finite_elements(shape="flat", amplitude="0", height=0.2):
+    """Q and flow rate over a wall (data/reference/README.md)."""
+    row = next(row for row in reference(SHARP) if (row["shape"], row["A"], float(row["H"])) == (shape, amplitude, height))
+    return float(row["Q"]), float(row["flow_rate"])
+
+
 def percent(ours, theirs):
     return f"{100 * (ours / theirs - 1):+.2f} %"
 
@@ -74,7 +84,7 @@ def accuracy():
     for height in (0.2, 0.26):
         for dx in (0.02, 0.01):
             s = simulate(f"accuracy-{height}-{dx}", channel__height=height, resolution__dx=dx, time__end=2.5)
-            q, u, flow = FEM[height]
+            (q, flow), u = finite_elements(height=height), 2.3 * height ** 2 / (8 * 0.01)
             rows.append([height, dx, f"{s['q']:.5f}", percent(s['q'], q), f"{s['u_max']:.4f}", percent(s['u_max'], u),
                          f"{s['flow_rate']:.4f}", percent(s['flow_rate'], flow), f"{s['mean_outlet_temperature']:.4f}",
                          f"{s['wall_heat_flux']:.5f}", f"{100 * s['energy_imbalance']:+.2f} %"])
@@ -85,7 +95,7 @@ def accuracy():
                           ("standard formulation, interpolation fluid-and-walls", {**standard, "objective__interpolation": "fluid-and-walls"}),
                           ("standard formulation, transport velocity 1", {**standard, "method__transport_velocity": 1})]:
         s = simulate("accuracy-other", time__end=2.5, **values)
-        others.append(f"* {label}: Q {s['q']:.5f} ({percent(s['q'], FEM[0.2][0])}), u_max {percent(s['u_max'], 1.15)}, "
+        others.append(f"* {label}: Q {s['q']:.5f} ({percent(s['q'], finite_elements()[0])}), u_max {percent(s['u_max'], 1.15)}, "
                       f"imbalance {100 * s['energy_imbalance']:+.2f} %")
     header = ["H", "dx", "Q", "against FEM", "u_max", "against FEM", "flow rate", "against FEM", "outlet T", "wall heat flux", "imbalance"]
     return "\n".join([table(header, rows), "", "The same at dx = 0.02, H = 0.2 with other conventions:", "", *others])
@@ -155,6 +165,7 @@ def cosine(a, b):
 
 
 def gradient():
+    FEM_GRADIENT = [1e3 * float(row["dQ_d_offset"]) for row in reference(GRADIENT)]
     lines = ["finite elements".ljust(32) + " ".join(f"{g:.1f}" for g in FEM_GRADIENT)]
     for motion, dx in (("moving", 0.02), ("moving", 0.01), ("fixed", 0.02), ("fixed", 0.01)):
         method, how = ("fixed", ["--gradient", "steady"]) if motion == "fixed" else ("consistent", [])
@@ -253,8 +264,6 @@ def constraints():
 
 
 def shapes():
-    with open(SHAPES) as file:
-        reference = list(csv.DictReader(file))
     rows = []
     rough = {"method__name": "standard", "method__transport_velocity": 1, "method__background_pressure_factor": 0, "time__cfl": 1, "time__end": 2}
     for label, extra, some in (("moving particles (default), dx 0.02", {}, 1), ("moving particles, dx 0.01", {"resolution__dx": 0.01}, 1),
@@ -264,14 +273,15 @@ def shapes():
                                ("standard formulation, dx 0.02", {"method__name": "standard", "time__end": 2}, 1),
                                ("standard, transport velocity 1, no background pressure, CFL 1", rough, 1)):
         errors, flows, diverged = [], [], 0
-        for row in reference[::some]:
+        for row in reference(SHAPES)[::some]:
             offsets = "[" + ",".join(row[f"o{k}"] for k in range(25)) + "]"
             s = simulate("shape", design__offsets=offsets, design__nodes=NODES, **extra)
             if s is None:
                 diverged += 1
                 continue
-            errors.append((s["q"] / float(row["Q"]), f"{row['shape']} {row['A']}"))
-            flows.append(s["flow_rate"] / float(row["flow_rate"]))
+            q, flow = finite_elements(row["shape"], row["A"])
+            errors.append((s["q"] / q, f"{row['shape']} {row['A']}"))
+            flows.append(s["flow_rate"] / flow)
         flat = errors[0][0]
         worst = max(errors, key=lambda e: abs(e[0] - 1))
         mean = sum(abs(r - 1) for r, _ in errors) / len(errors)
@@ -280,55 +290,88 @@ def shapes():
     return table(["", "walls", "error of Q, mean", "worst", "worst error of Q / Q flat", "flow rate / that of FEM, mean", "diverged"], rows)
 
 
+class Kept:
+    """Results of commands that take long, in runs/figures/NAME.json: what the same program has measured already is not measured again."""
+
+    def __init__(self, name):
+        self.path = os.path.join(OUT, f"{name}.json")
+        with open(PROGRAM, "rb") as file:
+            program = hashlib.file_digest(file, "sha256").hexdigest()
+        self.all = load(OUT, f"{name}.json") if os.path.exists(self.path) else {}
+        if self.all.get("program") != program:
+            self.all = {"program": program}
+
+    def of(self, key, measure):
+        if key not in self.all:
+            self.all[key] = measure()
+            os.makedirs(OUT, exist_ok=True)
+            with open(self.path + ".part", "w") as file:
+                json.dump(self.all, file, indent=1)
+            os.replace(self.path + ".part", self.path)
+        return self.all[key]
+
+
 def errors():
-    """Errors that `simulate --error` finds beside the true ones: how many are larger, and how much too large they are in the middle."""
-    def of(name, *arguments):
-        folder = run(name, "simulate", *arguments, "--error", *sets(output__frames=0), allow_failure=True)
-        return load(folder) if folder else None
+    """Errors that `simulate --error` finds beside the true ones: how many are larger, and how much too large they are in the middle.
 
-    def found(s, name):
-        return next(((one["error"], one["value"]) for one in s["errors"] if one["name"] == name), None)
+    Takes an hour or more. It goes on where it was stopped; with FIGURES_MINUTES=40 no more bodies and walls are measured after 40 minutes.
+    """
+    clock, limit = time.monotonic(), 60 * float(os.environ.get("FIGURES_MINUTES", "inf"))
+    kept, groups = Kept("errors"), {}
 
-    groups = {}
+    def of(*arguments):
+        """The errors of a run; None where there is no time left for it."""
+        def measure():
+            folder = run("error", "simulate", *arguments, "--error", *sets(output__frames=0), allow_failure=True)
+            s = load(folder) if folder else {"errors": []}
+            return {"errors": s["errors"], **{key: value for key, value in s.items() if key.startswith("exact_")}}
+        key = " ".join(os.path.basename(word) for word in arguments)
+        return None if key not in kept.all and time.monotonic() - clock > limit else kept.of(key, measure)
 
     def add(group, s, name, truth):
-        one = found(s, name) if s else None
-        if one:
-            groups.setdefault(group, []).append((one[0] / max(abs(one[1] - truth), 1e-12), abs(one[1] / truth - 1), one[0] / abs(truth)))
+        if s is None:
+            return
+        # A figure without an error counts as one outside of it.
+        one = next((one for one in s["errors"] if one["name"] == name), {"error": 0.0, "value": math.nan})
+        ratio = one["error"] / max(abs(one["value"] - truth), 1e-12) if one["error"] else 0.0
+        groups.setdefault(group, []).append((ratio, abs(one["value"] / truth - 1), one["error"] / abs(truth)))
 
-    with open(SHAPES) as file:
-        walls = list(csv.DictReader(file))[::3]
-    for method, label in (("consistent", "17 of 51 walls, moving particles, dx 0.02: Q"), ("fixed", "17 of 51 walls, fixed particles, dx 0.02: Q")):
-        for row in walls:
-            offsets = "[" + ",".join(row[f"o{k}"] for k in range(25)) + "]"
-            add(label, of("error", *sets(method__name=method, design__offsets=offsets, design__nodes=NODES)), "q", float(row["Q"]))
-    with open(BODIES) as file:
-        reference = list(csv.DictReader(file))
-    for dx in (0.02, 0.01):
-        for _, bodies, scene in bodies_in_channel(reference):
-            s = of("error", scene, *sets(resolution__dx=dx))
-            label = f"10 geometries, fixed particles, dx {dx}: flow rate, drag, heat"
-            add(label, s, "flow_rate", float(bodies[0]["flow_rate"]))
-            for k, body in enumerate(bodies):
-                add(label, s, f"shapes[{k + 2}].force[0]", float(body["force_x"]))
-                add(label, s, f"shapes[{k + 2}].heat", float(body["heat"]))
-    label = "scenes with exact solutions: kinetic energy, wall flux"
+    exact = "scenes with exact solutions: kinetic energy, heat flux of the wall"
     for method in ("consistent", "standard"):
         for dx in (0.04, 0.02):
-            s = of("error", "taylor-green", *sets(method__name=method, resolution__dx=dx))
-            add(label, s, "kinetic_energy", s["exact_kinetic_energy"])
+            s = of("taylor-green", *sets(method__name=method, resolution__dx=dx))
+            add(exact, s, "kinetic_energy", s and s.get("exact_kinetic_energy"))
         for rows in (20, 40):
-            s = of("error", "poiseuille", *sets(method__name=method, resolution__dx=1 / rows))
-            add(label, s, "kinetic_energy", s["exact_kinetic_energy"])
-            s = of("error", "couette", *sets(method__name=method, resolution__dx=1 / rows))
-            add(label, s, "kinetic_energy", s["exact_kinetic_energy"])
-            s = of("error", "slab", *sets(method__name=method, resolution__dx=1 / rows, time__end=0.05))
-            add(label, s, "wall_flux[0]", s["exact_wall_flux"][0])
-    rows = []
+            for scene in ("poiseuille", "couette"):
+                s = of(scene, *sets(method__name=method, resolution__dx=1 / rows))
+                add(exact, s, "kinetic_energy", s and s.get("exact_kinetic_energy"))
+            s = of("slab", *sets(method__name=method, resolution__dx=1 / rows, time__end=0.05))
+            add(exact, s, "wall_flux[0]", s and s.get("exact_wall_flux", [math.nan])[0])
+
+    def around(dx):
+        for _, bodies, scene in bodies_in_channel(reference(BODIES)):
+            s = of(scene, *sets(resolution__dx=dx))
+            label = f"bodies in a channel, fixed particles, dx {dx}: "
+            add(label + "flow rate", s, "flow_rate", float(bodies[0]["flow_rate"]))
+            for k, body in enumerate(bodies):
+                add(label + "drag", s, f"shapes[{k + 2}].force[0]", float(body["force_x"]))
+                add(label + "heat", s, f"shapes[{k + 2}].heat", float(body["heat"]))
+
+    around(0.02)
+    # In an order that leaves some of each kind of wall where the time ends.
+    walls = reference(SHAPES)
+    for row in walls[::3] + walls[1::3] + walls[2::3]:
+        q, flow = finite_elements(row["shape"], row["A"])
+        for method, name in (("fixed", "fixed"), ("consistent", "moving")):
+            s = of(*sets(method__name=method, design__offsets="[" + ",".join(row[f"o{k}"] for k in range(25)) + "]", design__nodes=NODES))
+            label = f"walls of the heated channel, {name} particles, dx 0.02: "
+            add(label + "Q", s, "q", q)
+            add(label + "flow rate", s, "flow_rate", flow)
+    around(0.01)
     middle = lambda all: sorted(all)[len(all) // 2]
-    for label, all in [*groups.items(), ("all", [one for group in groups.values() for one in group])]:
-        rows.append([label, len(all), f"{100 * sum(ratio >= 1 for ratio, _, _ in all) / len(all):.0f} %", f"{middle([ratio for ratio, _, _ in all]):.1f}",
-                     f"{100 * middle([true for _, true, _ in all]):.2f} %", f"{100 * middle([error for _, _, error in all]):.2f} %"])
+    rows = [[label, len(all), f"{100 * sum(ratio >= 1 for ratio, _, _ in all) / len(all):.0f} %", f"{middle([ratio for ratio, _, _ in all]):.1f}",
+             f"{100 * middle([true for _, true, _ in all]):.2f} %", f"{100 * middle([error for _, _, error in all]):.2f} %"]
+            for label, all in [*groups.items(), ("all", [one for group in groups.values() for one in group])]]
     return table(["", "figures", "true error inside", "error over true error, median", "true error, median", "error, median"], rows)
 
 
@@ -509,11 +552,11 @@ temperature = 0.0
 """
 
 
-def bodies_in_channel(reference):
+def bodies_in_channel(all_bodies):
     """Name, rows of the reference, and a scene of each geometry."""
     os.makedirs(OUT, exist_ok=True)
-    for name in dict.fromkeys(row["geometry"] for row in reference):
-        bodies = [row for row in reference if row["geometry"] == name]
+    for name in dict.fromkeys(row["geometry"] for row in all_bodies):
+        bodies = [row for row in all_bodies if row["geometry"] == name]
         text = CHANNEL
         for body in bodies:
             s = [float(x) for x in body["numbers"].split()]
@@ -527,10 +570,8 @@ def bodies_in_channel(reference):
 
 def cloud():
     """Fixed particles around bodies beside finite elements: errors, particles, seconds."""
-    with open(BODIES) as file:
-        reference = list(csv.DictReader(file))
     rows = []
-    for name, bodies, scene in bodies_in_channel(reference):
+    for name, bodies, scene in bodies_in_channel(reference(BODIES)):
         total = lambda key: sum(float(body[key]) for body in bodies)
         row = [name]
         for dx in (0.02, 0.01):

@@ -79,6 +79,40 @@ fn figures_that_agree_by_chance_have_an_error_too() {
     assert!((flow.error / flow.value - 0.5 * force.error / force.value).abs() < 1e-12, "{flow:?}");
 }
 
+/// Channels that are so many spacings long hold more fluid at a coarser spacing, which is no error.
+#[test]
+fn sums_over_a_channel_belong_to_its_length() {
+    let config = Config::load(Some("poiseuille"), None, &["resolution.dx=0.05".into()]).unwrap().config;
+    let record = |energy: f64, fastest: f64| -> Record {
+        serde_json::from_value(json!({ "kinetic_energy": energy, "largest_velocity": fastest })).unwrap()
+    };
+    let found = errors(&config, &record(0.16, 1.0), &[(0.0625, record(0.2, 0.99)), (0.1, record(0.32, 0.98))]);
+    let names: Vec<&str> = found.iter().map(|one| one.name.as_str()).collect();
+    assert_eq!(names, ["largest_velocity"]);
+    // What is zero but for rounding has no relative error that others could have too.
+    let found = errors(&config, &record(1e-31, 1.0), &[(0.0625, record(5e-30, 0.99))]);
+    assert!(found[1].error < 0.03, "{found:?}");
+}
+
+/// No spacing above 0.02 divides both 0.26 and 1: the channel of the coarser runs is a little shorter or longer.
+#[test]
+fn any_height_has_errors() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let sets = ["channel.height=0.26", "method.name=fixed", "time.end=0.3", "objective.window=0.1", "output.frames=0"];
+    let words = ["simulate", "heated-channel", "--error", "--out", "run"];
+    let sets = sets.iter().flat_map(|set| ["--set", set]);
+    succeeds(at, &words.into_iter().chain(sets).collect::<Vec<_>>());
+    let record = summary(&at.join("run"));
+    let share = |of: &str| {
+        let all = record["errors"].as_array().unwrap();
+        let one = all.iter().find(|one| one["name"] == of).unwrap();
+        one["error"].as_f64().unwrap() / one["value"].as_f64().unwrap()
+    };
+    // The power that drives the fluid is that of the same length; the lengths differ by 1 %.
+    assert!(record["q_error"].as_f64().unwrap() > 0.0 && share("pumping_power") < 0.005, "{record}");
+}
+
 fn summary(folder: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
 }

@@ -5,7 +5,9 @@ use hydrograd::config::scene::Config;
 use hydrograd::scene::Scene;
 use hydrograd::validation::cases::{self, Level};
 use hydrograd::validation::probe;
-use hydrograd::validation::reference::{between, heated_channel, lid_driven_cavity, taylor_green_3d};
+use hydrograd::validation::reference::{
+    between, heated_channel, heated_channel_outflow, lid_driven_cavity, taylor_green_3d,
+};
 
 #[test]
 fn a_case_is_run_and_written() {
@@ -132,5 +134,11 @@ fn references_are_read() {
         (channel.texts("shape")[0], channel.column("Q")[0], channel.column("o24").len()),
         ("flat", 0.0234764, 51)
     );
+    // The sharper reference has all of these walls, and is nowhere farther off than what the first one claims.
+    let (names, amplitudes, q) = (channel.texts("shape"), channel.column("A"), channel.column("Q"));
+    for k in 0..names.len() {
+        let sharp = heated_channel_outflow(names[k], amplitudes[k]).unwrap();
+        assert!((q[k] / sharp - 1.0).abs() < 1.5e-3, "{} {}", names[k], amplitudes[k]);
+    }
     assert!(channel.column("none").is_empty());
 }

@@ -4,6 +4,7 @@
 use super::files::write_summary;
 use super::{page, program};
 use crate::config::layers::Setting;
+use crate::config::scene::Family;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::report::progress::Progress;
@@ -171,20 +172,39 @@ pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
     std::iter::once(Setting::set(&format!("resolution.dx={dx}"))).chain(loaded.same_time()).collect()
 }
 
+/// The settings of a heated channel with so many rows, whatever its height: where no coarser spacing divides both height and length, the
+/// length is the next one that it divides, and the outlet begins where it did. (What lies behind the section where the heat is measured
+/// hardly changes it; 13 rows of 0.02 become 10 of 0.026 and a length of 0.988.)
+fn at_rows(loaded: &Loaded, rows: f64) -> Option<(f64, Vec<Setting>)> {
+    let (channel, dx) = (&loaded.config.channel, loaded.config.channel.height / rows);
+    let length = (channel.length / dx).round() * dx;
+    let outlet = channel.outlet_length + length - channel.length;
+    (loaded.config.scene == Family::HeatedChannel).then(|| {
+        let own = [format!("channel.length={length}"), format!("channel.outlet_length={outlet}")];
+        (dx, at_spacing(loaded, dx).into_iter().chain(own.map(|own| Setting::set(&own))).collect())
+    })
+}
+
 /// The scene at up to two coarser spacings that it allows.
 fn coarser_spacings(loaded: &Loaded) -> Vec<Loaded> {
     let config = &loaded.config;
     let dx = config.resolution.dx;
     let mut found: Vec<Loaded> = vec![];
     for ratios in RATIOS {
+        let largest = found.last().map_or(dx, |last| last.config.resolution.dx);
+        let allowed = |spacing: f64, settings: Vec<Setting>| {
+            (spacing > (1.0 + 2.0 * SAME) * largest).then(|| loaded.with(&settings).ok()).flatten()
+        };
         let one = ratios.iter().find_map(|ratio| {
             // A lattice fits some spacings only.
             let near = config.spacing_up_to((ratio + SAME) * dx).filter(|_| !config.is_around_shapes());
             let spacing = near.unwrap_or(ratio * dx);
-            let largest = found.last().map_or(dx, |last| last.config.resolution.dx);
-            (spacing > (1.0 + 2.0 * SAME) * largest).then(|| loaded.with(&at_spacing(loaded, spacing)).ok()).flatten()
+            allowed(spacing, at_spacing(loaded, spacing))
         });
-        found.extend(one);
+        found.extend(one.or_else(|| {
+            let stretched = ratios.iter().filter_map(|ratio| at_rows(loaded, (config.rows() as f64 / ratio).round()));
+            stretched.into_iter().find_map(|(spacing, settings)| allowed(spacing, settings))
+        }));
     }
     found
 }

@@ -19,6 +19,15 @@ use std::sync::Arc;
 /// particle is drawn equally from both sides, so no shift acts, and the particles stay in strings until the fit fails.
 const LEAST_JITTER: f64 = 0.02;
 
+/// How many columns channels have whose flow does not vary along them: they are as long as so many spacings.
+pub(super) fn columns_of(family: Family) -> Option<usize> {
+    match family {
+        Family::Poiseuille | Family::Couette => Some(12),
+        Family::Slab => Some(8),
+        _ => None,
+    }
+}
+
 pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
     let kinematic_viscosity = 1.0 / config.flow.reynolds;
     let (dimension, walls) = (config.dimension(), config.wall_rows());
@@ -29,17 +38,18 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
         ..Parts::new(config, lattice)
     };
     let channel = |columns: usize| Lattice::channel(columns, count(config, 1.0), walls);
+    let short = channel(columns_of(config.scene).unwrap_or(1));
     let parts = match config.scene {
         // Plane Poiseuille flow, started from rest by a constant force (Morris, Fox and Zhu 1997). The velocity is that
         // of the steady centre line.
         Family::Poiseuille => Parts {
             body_force: BodyForce::Uniform(8.0 * kinematic_viscosity),
             exact: Exact::Poiseuille { velocity: 1.0, kinematic_viscosity },
-            ..flow(channel(12))
+            ..flow(short)
         },
         // Plane Couette flow, started from rest by the moving upper wall (Morris, Fox and Zhu 1997).
         Family::Couette => {
-            Parts { lid: 1.0, exact: Exact::Couette { velocity: 1.0, kinematic_viscosity }, ..flow(channel(12)) }
+            Parts { lid: 1.0, exact: Exact::Couette { velocity: 1.0, kinematic_viscosity }, ..flow(short) }
         }
         // Opposite forces in the two halves of a periodic box (Backer et al. 2005). The fluid is at rest at y = 0, 1, 2,
         // and each half is plane Poiseuille flow with a steady centre line of force Re / 8. In three dimensions the box
@@ -66,7 +76,7 @@ pub(super) fn build<R: Sweeps>(config: &Config) -> Scene<R> {
             Parts { lid: 1.0, ..flow(lattice) }
         }
         Family::IsothermalChannel => isothermal_channel(config, flow(channel(count(config, config.channel.length)))),
-        Family::Slab => slab(config, Parts { viscosity: 1.0, ..flow(channel(8)) }),
+        Family::Slab => slab(config, Parts { viscosity: 1.0, ..flow(short) }),
         // Decaying vortices (Taylor and Green 1937) in a periodic box. The unit box has an exact solution. In three
         // dimensions, in a box of 2 pi (Brachet et al. 1983), the energy starts to decay as exp(-6 nu t).
         _ => {

@@ -52,9 +52,17 @@ pub fn dam_break_front() -> Table {
     Table::of(include_str!("../../data/reference/dam-break-front.csv"))
 }
 
-/// `shape`, `A`, `Q`, `o0` ... `o24` at H = 0.2: finite elements.
+/// `shape`, `A`, `o0` ... `o24` of walls at H = 0.2. (Its `Q` is 0.02 to 0.1 % off: [`heated_channel_outflow`] has sharper ones.)
 pub fn heated_channel() -> Table {
     Table::of(include_str!("../../data/reference/fem-shapes-H0.2.csv"))
+}
+
+/// Heat that flows out over a wall of [`heated_channel`]: finite elements on graded meshes.
+pub fn heated_channel_outflow(shape: &str, amplitude: f64) -> Option<f64> {
+    let table = Table::of(include_str!("../../data/reference/fem-sharp.csv"));
+    let (names, amplitudes, heights) = (table.texts("shape"), table.column("A"), table.column("H"));
+    let row = (0..names.len()).find(|&k| names[k] == shape && amplitudes[k] == amplitude && heights[k] == 0.2);
+    row.map(|row| table.column("Q")[row])
 }
 
 /// dQ/d offset of the flat wall at x = 0.26, 0.28 ... 0.74, H = 0.2, in 1e-3: finite elements.
