@@ -11,6 +11,9 @@
 //!   a0 = (1 + 2 r) / (1 + r),   a1 = 1 + r,   a2 = r^2 / (1 + r),   N(f) = u . grad f,   1 / tau = 1 / tau_steady + a0 / (10 dt).
 //! ```
 //!
+//! In the plane the slopes in N are fits of third order to 24 neighbours ([`super::particles`]); they are explicit, so that the matrix
+//! stays that of fits of second order to 16.
+//!
 //! The first two steps have r = 0, Euler's: the fields at the start need not fit to the walls. Velocity and pressure are solved
 //! for together, so there is no error of splitting and walls hold to rounding. The matrix is the same for all steps of one
 //! size; how it is solved with is a matter of the dimension ([`super::march`], [`super::space::march`]).
