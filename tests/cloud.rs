@@ -430,8 +430,8 @@ fn the_residual_and_its_adjoint_equal_candles() {
     // The same by the coefficients' cotangents, in two parts.
     let mut pairs = PairCotangents::zeros(&equations.stencils);
     let numbers: Vec<&[f64]> = state.fields.iter().map(Vec::as_slice).collect();
-    pairs.add(&equations.stencils, &numbers[..1], n, |_, i| bar.derivatives.0[0][i]);
-    pairs.add(&equations.stencils, &numbers[1..], n, |f, i| bar.derivatives.0[1 + f][i]);
+    pairs.add(&equations.stencils, &numbers[..1], &bar.derivatives.0[..1]);
+    pairs.add(&equations.stencils, &numbers[1..], &bar.derivatives.0[1..]);
     let mut summed = bar.position.clone();
     equations.stencils.pull_back_pairs(&shaped.position, &pairs, &mut summed);
     for d in 0..2 {

@@ -149,8 +149,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
         let cloud = &self.flow.cloud;
         let rate = Rate { measures: &self.flow.measures, shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
-        let operators = [&shaped.operators, shaped.carriers()];
-        March::new(cloud.equations(shaped), &cloud.places.place, operators, held, threads::count())
+        March::new(cloud.equations(shaped), &cloud.places.place, &shaped.operators, held, threads::count())
     }
 
     fn seen(&self, shaped: &Arc<Shaped>, _: f64, state: &State) -> Solution {

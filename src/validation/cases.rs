@@ -196,7 +196,7 @@ pub fn all() -> Vec<Case> {
                 "Nabh (1998)",
             )
             .full(&[], 1e-2),
-        // Vortices lose less than they should: the lift is 2.4 % too large, and 5 % where the flow comes and goes.
+        // Vortices lose less than they should: the lift is 2 % too large, and 5 % where the flow comes and goes.
         Case::new("schaefer-turek-2", "schaefer-turek-2", &[])
             .compares(
                 Measure::Published(Benchmark::SchaeferTurek2),

@@ -81,8 +81,6 @@ pub struct Equations {
     /// Of each particle on the boundary.
     pub conditions: Vec<Condition>,
     pub stencils: Stencils,
-    /// Those of fits of third order for what the flow carries, of a flow in time.
-    pub carrying: Option<Stencils>,
 }
 
 /// Derivatives of all F fields at all particles, `[N][C]` each.
@@ -132,11 +130,6 @@ impl Equations {
             }
         }
         d
-    }
-
-    /// The stencils of what the flow carries.
-    pub fn carriers(&self) -> &Stencils {
-        self.carrying.as_ref().unwrap_or(&self.stencils)
     }
 
     /// Buoyancy on a particle along e.

@@ -237,13 +237,6 @@ macro_rules! in_dimension {
 in_dimension!(2, COEFFICIENTS, monomials(2));
 in_dimension!(3, COEFFICIENTS_3D, to_third(3));
 
-impl Stencils<2> {
-    /// The same of stencils whose fits are of third order.
-    pub fn coefficients_to_third(&self, position: &[Vec<f64>; 2]) -> Coefficients {
-        self.all_coefficients::<{ to_third(2) }, { packed(to_third(2)) }, COEFFICIENTS>(position)
-    }
-}
-
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]
 pub struct Coefficients<const C: usize = COEFFICIENTS> {

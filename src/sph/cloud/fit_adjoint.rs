@@ -4,7 +4,7 @@
 //! over fields; and over times where particles stay while the flow goes on, so that positions are looked at once, after all of
 //! them.
 
-use super::fit::{blocks, fit, monomials_of, offset, Coefficients, Fit, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
+use super::fit::{fit, monomials_of, offset, Coefficients, Fit, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
 use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{dot, monomials, packed, pull_back, solve, to_third};
@@ -20,39 +20,27 @@ impl<const C: usize> PairCotangents<C> {
         Self { value: vec![0.0; stencils.list.len() * C] }
     }
 
-    /// Adds those of fields `[N]`, given the cotangents of the first C derivatives (all of them and S) of each at some first particles:
-    /// `bar(field, particle)`.
+    /// Adds those of fields `[N]`, given the cotangents of all derivatives and S of each, `[fields][N][C]`.
     ///
     /// # Panics
     /// More than five fields.
-    pub fn add<const D: usize>(
-        &mut self,
-        stencils: &Stencils<D>,
-        fields: &[&[f64]],
-        particles: usize,
-        bar: impl Fn(usize, usize) -> [f64; C] + Sync,
-    ) {
+    pub fn add<const D: usize>(&mut self, stencils: &Stencils<D>, fields: &[&[f64]], bar: &[Vec<[f64; C]>]) {
         assert!(fields.len() <= FIELDS);
         let padded: Vec<Vec<f64>> = fields.iter().map(|field| stencils.padded_field(field)).collect();
-        let parts = stencils.parts(&mut self.value, C).into_iter().take(blocks(particles));
-        run_parts(&Collect { stencils, fields: &padded, particles, bar }, parts);
+        run_parts(&Collect { stencils, fields: &padded, bar }, stencils.parts(&mut self.value, C));
     }
 }
 
 /// Fields of a flow in space: three velocities, pressure and temperature.
 const FIELDS: usize = 5;
 
-struct Collect<'a, F, const D: usize, const C: usize> {
+struct Collect<'a, const D: usize, const C: usize> {
     stencils: &'a Stencils<D>,
     fields: &'a [Vec<f64>],
-    particles: usize,
-    bar: F,
+    bar: &'a [Vec<[f64; C]>],
 }
 
-impl<'a, F, const D: usize, const C: usize> PartKernel<f64> for Collect<'a, F, D, C>
-where
-    F: Fn(usize, usize) -> [f64; C] + Sync,
-{
+impl<'a, const D: usize, const C: usize> PartKernel<f64> for Collect<'a, D, C> {
     type Part = &'a mut [f64];
 
     #[inline(always)]
@@ -63,8 +51,8 @@ where
             for f in 0..count {
                 for lane in 0..L::COUNT {
                     let i = block * WIDEST + l + lane;
-                    if i < self.particles {
-                        let bar = (self.bar)(f, i);
+                    if i < stencils.particles {
+                        let bar = &self.bar[f][i];
                         for a in 0..C {
                             numbers[f][a][lane] = bar[a];
                         }
@@ -146,7 +134,7 @@ macro_rules! in_dimension {
                 pairs: &PairCotangents<$coefficients>,
                 position_bar: &mut [Vec<f64>; $dimension],
             ) {
-                let known = Known::Pairs(&pairs.value, $coefficients);
+                let known = Known::Pairs(pairs);
                 self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
                     position,
                     known,
@@ -159,30 +147,6 @@ macro_rules! in_dimension {
 
 in_dimension!(2, COEFFICIENTS, monomials(2));
 in_dimension!(3, COEFFICIENTS_3D, to_third(3));
-
-impl Stencils<2> {
-    /// The same, given the cotangents of slopes alone.
-    pub fn pull_back_slopes(
-        &self,
-        position: &[Vec<f64>; 2],
-        pairs: &PairCotangents<2>,
-        position_bar: &mut [Vec<f64>; 2],
-    ) {
-        let known = Known::Pairs(&pairs.value, 2);
-        self.pull_back_all::<{ monomials(2) }, { packed(monomials(2)) }, COEFFICIENTS>(position, known, position_bar);
-    }
-
-    /// The same of stencils whose fits are of third order, given the cotangents of slopes alone.
-    pub fn pull_back_slopes_to_third(
-        &self,
-        position: &[Vec<f64>; 2],
-        pairs: &PairCotangents<2>,
-        position_bar: &mut [Vec<f64>; 2],
-    ) {
-        let known = Known::Pairs(&pairs.value, 2);
-        self.pull_back_all::<{ to_third(2) }, { packed(to_third(2)) }, COEFFICIENTS>(position, known, position_bar);
-    }
-}
 
 /// Parts of the particles whose sums are apart from each other, for any number of threads.
 const PARTS: usize = 4;
@@ -244,8 +208,7 @@ impl<'a, const D: usize, const C: usize> PartKernel<f64> for Carried<'a, D, C> {
 /// derivatives, or the sums of [`PairCotangents`].
 enum Known<'a, const C: usize> {
     Fields(&'a [&'a [f64]], &'a [Vec<[f64; C]>]),
-    /// With the number of coefficients that are not 0, the first ones.
-    Pairs(&'a [f64], usize),
+    Pairs(&'a PairCotangents<C>),
 }
 
 impl<const C: usize> Known<'_, C> {
@@ -253,7 +216,7 @@ impl<const C: usize> Known<'_, C> {
     fn products(&self) -> usize {
         match self {
             Self::Fields(fields, _) => fields.len(),
-            Self::Pairs(_, coefficients) => *coefficients,
+            Self::Pairs(_) => C,
         }
     }
 }
@@ -291,12 +254,12 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
             for product in 0..self.known.products() {
                 let derivative = |a: usize| match self.known {
                     Known::Fields(_, bar) => lane(&|i| bar[product][i][a]),
-                    Known::Pairs(..) => L::splat(if a == product { 1.0 } else { 0.0 }),
+                    Known::Pairs(_) => L::splat(if a == product { 1.0 } else { 0.0 }),
                 };
                 let left = derivative(C - 1) * L::splat(2.0 * D as f64) * second / square;
                 let own = match self.known {
                     Known::Fields(fields, _) => lane(&|i| fields[product][i]),
-                    Known::Pairs(..) => L::zero(),
+                    Known::Pairs(_) => L::zero(),
                 };
                 let difference = |k: usize| match self.known {
                     Known::Fields(fields, _) => {
@@ -307,8 +270,8 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
                         }
                         L::load_part(&numbers[..]) - own
                     }
-                    Known::Pairs(pairs, count) => {
-                        L::load_part(&pairs[((stencils.first[block] + k) * count + product) * WIDEST + l..])
+                    Known::Pairs(pairs) => {
+                        L::load_part(&pairs.value[((stencils.first[block] + k) * C + product) * WIDEST + l..])
                     }
                 };
                 let (mut right, mut sum) = ([L::zero(); Q], [L::zero(); Q]);

@@ -26,19 +26,10 @@ impl Matrices {
     }
 }
 
-/// Cotangents of the coefficients of all derivatives, of those of the slopes of what is carried, and of positions.
-pub struct Sums {
-    derivatives: PairCotangents,
-    slopes: PairCotangents<2>,
-    /// Of positions themselves.
-    position: [Vec<f64>; 2],
-}
-
 /// Steps of a flow around one shape.
 pub struct March<'a> {
     solver: Solver,
     operators: &'a Coefficients,
-    carrying: &'a Coefficients,
     kept: Vec<Matrices>,
     border: Border,
     drives: bool,
@@ -48,18 +39,18 @@ pub struct March<'a> {
 }
 
 impl<'a> March<'a> {
-    /// `carrying`: the coefficients of [`Equations::carriers`]; `held`: a flow rate that is held, and how it follows from the state.
+    /// `held`: a flow rate that is held, and how it follows from the state.
     pub fn new(
         equations: Equations,
         places: &[[f64; 2]],
-        [operators, carrying]: [&'a Coefficients; 2],
+        operators: &'a Coefficients,
         held: Option<(&Held, &dyn FlowRate)>,
         threads: usize,
     ) -> Self {
         let damping = equations.damping.clone();
         let solver = Solver::of_size(equations, places, 3, threads);
         let border = solver.border_at_rest(operators, held);
-        Self { solver, operators, carrying, kept: vec![], border, drives: held.is_some(), damping, factorisations: 0 }
+        Self { solver, operators, kept: vec![], border, drives: held.is_some(), damping, factorisations: 0 }
     }
 
     /// The factors for a0 / dt.
@@ -110,7 +101,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     }
 
     fn carriers(&self) -> (&Stencils, &Coefficients) {
-        (self.solver.equations.carriers(), self.carrying)
+        (&self.solver.equations.stencils, self.operators)
     }
 
     fn boundary_derivatives(&self, state: &State) -> Derivatives {
@@ -121,39 +112,25 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         self.solver.equations.by_fields(self.operators, bar)
     }
 
-    type Sums = Sums;
+    /// Cotangents of the coefficients of all derivatives, and of positions themselves.
+    type Sums = (PairCotangents, [Vec<f64>; 2]);
 
-    fn sums(&self) -> Sums {
-        let equations = &self.solver.equations;
-        Sums {
-            derivatives: PairCotangents::zeros(&equations.stencils),
-            slopes: PairCotangents::zeros(equations.carriers()),
-            position: std::array::from_fn(|_| vec![0.0; equations.particles()]),
-        }
+    fn sums(&self) -> Self::Sums {
+        let pairs = PairCotangents::zeros(&self.solver.equations.stencils);
+        (pairs, std::array::from_fn(|_| vec![0.0; self.particles()]))
     }
 
-    fn add_to(&self, sums: &mut Sums, _position: &[Vec<f64>; 2], state: &State, bar: &mut Bar, advection: &[Vec<f64>]) {
-        let equations = &self.solver.equations;
+    fn add_to(&self, sums: &mut Self::Sums, _position: &[Vec<f64>; 2], state: &State, bar: &Bar) {
         let [u, v, p, t] = &state.fields;
         let (all, count): ([&[f64]; 4], _) = ([u, v, p, t], if self.has_heat() { 4 } else { 3 });
-        let of = |f: usize, i: usize| bar.derivatives.0[f][i];
-        sums.derivatives.add(&equations.stencils, &all[..count], u.len(), of);
-        let carried: [&[f64]; 3] = [u, v, t];
-        let of = |f: usize, i: usize| [u[i], v[i]].map(|u| advection[f][i] * u);
-        sums.slopes.add(equations.carriers(), &carried[..count - 1], equations.inside, of);
-        for (sums, bar) in sums.position.iter_mut().zip(&bar.position) {
+        sums.0.add(&self.solver.equations.stencils, &all[..count], &bar.derivatives.0[..count]);
+        for (sums, bar) in sums.1.iter_mut().zip(&bar.position) {
             sums.iter_mut().zip(bar).for_each(|(sum, bar)| *sum += bar);
         }
     }
 
-    fn by_sums(&self, position: &[Vec<f64>; 2], sums: Sums) -> [Vec<f64>; 2] {
-        let equations = &self.solver.equations;
-        let mut found = sums.position;
-        equations.stencils.pull_back_pairs(position, &sums.derivatives, &mut found);
-        match &equations.carrying {
-            Some(stencils) => stencils.pull_back_slopes_to_third(position, &sums.slopes, &mut found),
-            None => equations.stencils.pull_back_slopes(position, &sums.slopes, &mut found),
-        }
+    fn by_sums(&self, position: &[Vec<f64>; 2], (pairs, mut found): Self::Sums) -> [Vec<f64>; 2] {
+        self.solver.equations.stencils.pull_back_pairs(position, &pairs, &mut found);
         found
     }
 

@@ -14,8 +14,6 @@ use std::fmt::Debug;
 /// finite elements; its gradient by the radii of a spline is along theirs with a cosine of 0.983, 0.981, 0.980. Flow and drag are best
 /// with 16.)
 pub const NEIGHBOURS: usize = 16;
-/// Those of the fits of third order for what a flow in time carries.
-const CARRYING: usize = 24;
 
 /// Velocity and temperature that points of the boundary have, by place. The flow's material constants.
 pub trait Surroundings: Debug + Send + Sync {
@@ -59,8 +57,6 @@ pub struct Cloud {
     pub fluid: Fluid,
     pub deformation: Deformation,
     pub stencils: Stencils,
-    /// Those of fits of third order for what the flow carries, of a flow in time.
-    pub carrying: Option<Stencils>,
     /// Of each point of the boundary that is on no body, with heat.
     pub wall_fits: Vec<Option<WallFit>>,
     pub surroundings: std::sync::Arc<dyn Surroundings>,
@@ -77,15 +73,6 @@ pub struct Shaped {
     pub area: Vec<[f64; 2]>,
     pub conditions: Vec<Condition>,
     pub operators: Coefficients,
-    /// Those of [`Cloud::carrying`].
-    pub carrying: Option<Coefficients>,
-}
-
-impl Shaped {
-    /// The coefficients of slopes of what the flow carries.
-    pub fn carriers(&self) -> &Coefficients {
-        self.carrying.as_ref().unwrap_or(&self.operators)
-    }
 }
 
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
@@ -221,7 +208,7 @@ impl Conditions<2> for Cloud {
 }
 
 impl Cloud {
-    /// Places particles around the shapes of `ground`. `in_time`: for a flow in time, whose advection has fits of its own.
+    /// Places particles around the shapes of `ground`.
     ///
     /// # Errors
     /// Shapes that cannot be resolved.
@@ -229,7 +216,6 @@ impl Cloud {
         ground: Ground,
         fluid: Fluid,
         surroundings: std::sync::Arc<dyn Surroundings>,
-        in_time: bool,
         threads: usize,
     ) -> Result<Self, Unusable> {
         let places = ground.fill().map_err(Unusable::Placing)?;
@@ -242,20 +228,16 @@ impl Cloud {
                     .then(|| of(point.particle, wall_fit::NEIGHBOURS + 1))?;
                 WallFit::new(ground.plane, &places.place, point.particle, &near)
             };
-            let count = if in_time { CARRYING } else { NEIGHBOURS };
-            let near: Vec<_> = (0..places.place.len()).map(|i| of(i, count + 1)).collect();
+            let near: Vec<_> = (0..places.place.len()).map(|i| of(i, NEIGHBOURS + 1)).collect();
             (near, places.boundary.iter().map(on_wall).collect())
         };
-        let of = |count: usize, is_third: bool| {
-            Stencils::new(ground.plane, &places.place, |_| count, |_| is_third, &near)
-                .map_err(|i| Unusable::Lonely(places.place[i]))
-        };
-        let (stencils, carrying) = (of(NEIGHBOURS, false)?, in_time.then(|| of(CARRYING, true)).transpose()?);
+        let stencils = Stencils::new(ground.plane, &places.place, |_| NEIGHBOURS, |_| false, &near)
+            .map_err(|i| Unusable::Lonely(places.place[i]))?;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = stencils.coefficients(&position);
         let deformation = Deformation::new(&stencils, &operators, &places.place, places.inside, threads)
             .map_err(|_| Unusable::Singular)?;
-        Ok(Self { ground, places, fluid, deformation, stencils, carrying, wall_fits, surroundings })
+        Ok(Self { ground, places, fluid, deformation, stencils, wall_fits, surroundings })
     }
 
     pub fn particles(&self) -> usize {
@@ -279,7 +261,6 @@ impl Cloud {
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
             stencils: self.stencils.clone(),
-            carrying: self.carrying.clone(),
         }
     }
 
@@ -326,8 +307,7 @@ impl Cloud {
         }
         let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
         let operators = self.stencils.coefficients(&position);
-        let carrying = self.carrying.as_ref().map(|stencils| stencils.coefficients_to_third(&position));
-        Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators, carrying })
+        Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
     }
 
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that

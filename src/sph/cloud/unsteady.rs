@@ -11,9 +11,6 @@
 //!   a0 = (1 + 2 r) / (1 + r),   a1 = 1 + r,   a2 = r^2 / (1 + r),   N(f) = u . grad f,   1 / tau = 1 / tau_steady + a0 / (10 dt).
 //! ```
 //!
-//! In the plane the slopes in N are fits of third order to 24 neighbours ([`super::particles`]); they are explicit, so that the matrix
-//! stays that of fits of second order to 16.
-//!
 //! The first two steps have r = 0, Euler's: the fields at the start need not fit to the walls. Velocity and pressure are solved
 //! for together, so there is no error of splitting and walls hold to rounding. The matrix is the same for all steps of one
 //! size; how it is solved with is a matter of the dimension ([`super::march`], [`super::space::march`]).
@@ -155,16 +152,8 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
     type Sums;
     /// Nothing.
     fn sums(&self) -> Self::Sums;
-    /// Adds what the derivatives of a state and the slopes of what is carried know of them, given the cotangents of the derivatives
-    /// in `bar`, to which those of the slopes may be added, and of the advection, `[carried][inside]`.
-    fn add_to(
-        &self,
-        sums: &mut Self::Sums,
-        position: &[Vec<f64>; D],
-        state: &State<F>,
-        bar: &mut Bar<D, F, C>,
-        advection: &[Vec<f64>],
-    );
+    /// Adds what the derivatives of a state know of them, given their cotangents in `bar`.
+    fn add_to(&self, sums: &mut Self::Sums, position: &[Vec<f64>; D], state: &State<F>, bar: &Bar<D, F, C>);
     /// The cotangents of positions.
     fn by_sums(&self, position: &[Vec<f64>; D], sums: Self::Sums) -> [Vec<f64>; D];
     /// See [`super::equations::Equations::pull_back_linear`]; `rate`: a0 / dt.

@@ -133,7 +133,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                 let state = &levels[k - from + 2].state;
                 bar.clear();
                 figures(k, state, &mut bar);
-                let mut right = Self::of_state(march, state, &now, &bar);
+                let mut right = Self::of_state(march, state, &now, &mut bar);
                 let (r, [a0, a1, a2]) = self.step(k).weights();
                 let y = march.solve_flow(a0, &self.of_flow(march, &right, bar.drive), None)?;
                 let mut earlier = zero.clone();
@@ -165,7 +165,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                     // The held flow rate depends on positions too.
                     (self.flow_rate_back)(state, -multiplier, &mut bar);
                 }
-                march.add_to(&mut sums, self.position, state, &mut bar, &now.advection);
+                march.add_to(&mut sums, self.position, state, &bar);
                 self.gather(times[k], &bar, &mut found);
                 now = std::mem::replace(&mut before, earlier);
             }
@@ -173,9 +173,9 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         }
         // The state at the start: what it is inside is given; on walls it is what these are.
         bar.clear();
-        let total = Self::of_state(march, self.first, &now, &bar);
+        let total = Self::of_state(march, self.first, &now, &mut bar);
         self.boundary.of_start(&total, &mut bar, &mut found.position);
-        march.add_to(&mut sums, self.position, self.first, &mut bar, &now.advection);
+        march.add_to(&mut sums, self.position, self.first, &bar);
         self.gather(0.0, &bar, &mut found);
         for (to, from) in found.position.iter_mut().zip(march.by_sums(self.position, sums)) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
@@ -197,21 +197,32 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         right
     }
 
-    /// The cotangents of a state's fields, given those of its figures in `bar` and what later steps have of it.
-    fn of_state(march: &impl Scheme<D, F, C>, state: &State<F>, back: &Back<F>, bar: &Bar<D, F, C>) -> [Vec<f64>; F] {
+    /// The cotangents of a state's fields, given those of its figures in `bar` and what later steps have of it. Adds to
+    /// the bar's derivatives what the advection has of them.
+    fn of_state(
+        march: &impl Scheme<D, F, C>,
+        state: &State<F>,
+        back: &Back<F>,
+        bar: &mut Bar<D, F, C>,
+    ) -> [Vec<f64>; F] {
         let mut fields = march.by_fields(bar);
         for (to, own) in fields.iter_mut().zip(&back.fields) {
             to.iter_mut().zip(own).for_each(|(to, own)| *to += own);
         }
-        for (slopes, weights) in march.carried_slopes(state).iter().zip(&back.advection) {
+        let carried = march.carried();
+        for ((slopes, weights), &field) in march.carried_slopes(state).iter().zip(&back.advection).zip(&carried) {
+            let derivatives = &mut bar.derivatives.0[field];
             for (i, (slope, weight)) in slopes.iter().zip(weights).enumerate() {
-                (0..D).for_each(|e| fields[e][i] += weight * slope[e]);
+                for e in 0..D {
+                    fields[e][i] += weight * slope[e];
+                    derivatives[i][e] += weight * state.fields[e][i];
+                }
             }
         }
         let (stencils, coefficients) = march.carriers();
         let velocity: [&[f64]; D] = std::array::from_fn(|e| &state.fields[e][..]);
         let found = coefficients.carried_back(stencils, &velocity, &back.advection);
-        for (field, found) in march.carried().into_iter().zip(found) {
+        for (field, found) in carried.into_iter().zip(found) {
             fields[field].iter_mut().zip(found).for_each(|(to, from)| *to += from);
         }
         fields

@@ -184,19 +184,7 @@ impl Scheme<3, 5, C> for March<'_> {
         std::array::from_fn(|_| vec![0.0; self.particles()])
     }
 
-    fn add_to(
-        &self,
-        sums: &mut [Vec<f64>; 3],
-        position: &[Vec<f64>; 3],
-        state: &State,
-        bar: &mut Bar,
-        advection: &[Vec<f64>],
-    ) {
-        for (field, weights) in self.carried().into_iter().zip(advection) {
-            for (i, weight) in weights.iter().enumerate() {
-                (0..3).for_each(|e| bar.derivatives.0[field][i][e] += weight * state.fields[e][i]);
-            }
-        }
+    fn add_to(&self, sums: &mut [Vec<f64>; 3], position: &[Vec<f64>; 3], state: &State, bar: &Bar) {
         let found = self.solver.equations.by_positions(position, state, bar);
         for (sums, found) in sums.iter_mut().zip(&found) {
             sums.iter_mut().zip(found).for_each(|(sum, found)| *sum += found);
