@@ -699,7 +699,7 @@ fn solve_upper<L: Lanes<Real = f64>>(lu: &[f64], x: &mut [f64]) {
     for from in (0..p).step_by(AT_ONCE).rev() {
         let to = p.min(from + AT_ONCE);
         for k in (from..to).rev() {
-            x[k] = x[k] / lu[k * p + k];
+            x[k] /= lu[k * p + k];
             for row in from..k {
                 let share = lu[k * p + row] * x[k];
                 x[row] -= share;
@@ -794,7 +794,7 @@ impl System<'_> {
             for k in 0..p {
                 let (before, from) = own.split_at_mut(k);
                 subtract_products::<L>(&mut from[..1], &lu[k * p..k * p + k], before);
-                from[0] = from[0] / lu[k * p + k];
+                from[0] /= lu[k * p + k];
             }
             subtract_products::<L>(later, upper, own);
         } else {
