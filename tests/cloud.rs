@@ -1,5 +1,6 @@
 //! Fixed particles around any shape: solver, fits, outlines, equations and their adjoint, and finite elements beside them.
 
+use crate::support::differences::of_mean;
 use crate::support::noise::noise;
 use crate::support::program::{hydrograd, refused};
 use candle_core::{Device, Tensor, Var};
@@ -937,14 +938,7 @@ fn the_gradient_of_a_flow_in_time_is_that_of_differences() {
         let apart = exact.iter().zip(&frugal).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(apart < 1e-12 * norm, "{exact:?} and {frugal:?}");
         for k in 0..first.len() {
-            let at = |step: f64| {
-                let mut moved = first.clone();
-                moved[k] += step;
-                let (found, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(())).unwrap();
-                found.objective(&around.window(&moved, &found).unwrap())
-            };
-            let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
-            let difference = (4.0 * central(5e-5) - central(1e-4)) / 3.0;
+            let difference = of_mean(&around, &first, &history.sizes, k, 1e-4);
             assert!((difference - exact[k]).abs() < 1e-6 * norm, "{objective} {k}: {} and {difference}", exact[k]);
         }
     }

@@ -1,5 +1,6 @@
 //! Fixed particles around bodies in space, whose flow goes on in time, and with buoyancy.
 
+use crate::support::differences::of_mean;
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::scene::around_flow::Around;
@@ -147,15 +148,8 @@ fn the_gradient_is_that_of_differences() {
     let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
     println!("{} particles, {} steps, {exact:?}", around.particles(), history.sizes.len());
     for k in 0..first.len() {
-        let at = |step: f64| {
-            let mut moved = first.clone();
-            moved[k] += step;
-            let (found, _) = around.march(&moved, Some(&history.sizes), &mut |_, _| Ok(())).unwrap();
-            found.objective(&around.window(&moved, &found).unwrap())
-        };
         let step = if k < 2 { 4e-4 } else { 4e-2 };
-        let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
-        let difference = (4.0 * central(0.5 * step) - central(step)) / 3.0;
+        let difference = of_mean(&around, &first, &history.sizes, k, step);
         println!("{k}: {} and {difference}", exact[k]);
         assert!((difference - exact[k]).abs() < 1e-6 * norm, "{k}: {} and {difference}", exact[k]);
         assert!((difference - exact[k]).abs() < 1e-5 * exact[k].abs(), "{k}: {} and {difference}", exact[k]);

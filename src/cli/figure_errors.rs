@@ -9,7 +9,7 @@ use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::figure_error::{errors, main_figure, order, FigureError};
+use crate::scene::figure_error::{errors, length_in, main_figure, order, FigureError};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use clap::Args;
@@ -177,7 +177,7 @@ pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
 /// hardly changes it; 13 rows of 0.02 become 10 of 0.026 and a length of 0.988.)
 fn at_rows(loaded: &Loaded, rows: f64) -> Option<(f64, Vec<Setting>)> {
     let (channel, dx) = (&loaded.config.channel, loaded.config.channel.height / rows);
-    let length = (channel.length / dx).round() * dx;
+    let length = length_in(channel.length, dx);
     let outlet = channel.outlet_length + length - channel.length;
     (loaded.config.scene == Family::HeatedChannel).then(|| {
         let own = [format!("channel.length={length}"), format!("channel.outlet_length={outlet}")];

@@ -114,12 +114,12 @@ pub trait Around {
     /// # Errors
     /// As [`Self::march`] and [`Self::window`].
     fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error>;
-    /// Factors that give figures their units: forces have the density, heat has density and heat capacity.
-    fn unit(&self, figure: Figure) -> f64;
-    /// A figure in the units of the scene.
-    fn value(&self, solution: &Self::Solution, figure: Figure) -> f64;
-    /// The figures whose sum a kind of objective is.
-    fn figures(&self, asked: &Asked) -> Vec<Figure>;
+    /// A figure per density, heat per density and heat capacity.
+    fn measured(&self, solution: &Self::Solution, figure: Figure) -> f64;
+    /// Points of probes, `[probes][D]`.
+    fn probes(&self) -> Vec<&[f64]>;
+    /// The shapes that an objective is about which names none.
+    fn judged_shapes(&self) -> Vec<usize>;
     /// The derivative of weighted figures of a steady flow by the variables.
     ///
     /// # Errors
@@ -131,6 +131,53 @@ pub trait Around {
     fn fastest(&self, solution: &Self::Solution) -> f64;
     /// The particles with their fields, for files and pictures.
     fn fields(&self, solution: &Self::Solution) -> ParticleFields;
+
+    /// Factors that give figures their units: forces have the density, heat has density and heat capacity.
+    fn unit(&self, figure: Figure) -> f64 {
+        let (fluid, pressure) = (&self.config().fluid, self.config().dimension());
+        match figure {
+            Figure::FlowRate => 1.0,
+            Figure::Probe { field, .. } if field != pressure => 1.0,
+            Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
+            _ => fluid.density,
+        }
+    }
+
+    /// A figure in the units of the scene.
+    fn value(&self, solution: &Self::Solution, figure: Figure) -> f64 {
+        let temperature = self.config().dimension() + 1;
+        let reference = match figure {
+            Figure::Probe { field, .. } if field == temperature => self.config().fluid.inlet_temperature,
+            _ => 0.0,
+        };
+        reference + self.unit(figure) * self.measured(solution, figure)
+    }
+
+    /// The figures whose sum a kind of objective is.
+    fn figures(&self, asked: &Asked) -> Vec<Figure> {
+        let pressure = self.config().dimension();
+        let probe = |field: usize| {
+            let probe = self.probes().into_iter().position(|place| asked.at.as_deref() == Some(place));
+            probe.map(|probe| Figure::Probe { field, probe }).into_iter().collect()
+        };
+        let all = if asked.shapes.is_empty() { self.judged_shapes() } else { asked.shapes.clone() };
+        let each = |of: &dyn Fn(usize) -> Figure| all.iter().map(|&shape| of(shape)).collect();
+        match asked.kind {
+            ObjectiveKind::Pressure => probe(pressure),
+            ObjectiveKind::Temperature => probe(pressure + 1),
+            ObjectiveKind::VelocityX => probe(0),
+            ObjectiveKind::VelocityY => probe(1),
+            ObjectiveKind::VelocityZ => probe(2),
+            ObjectiveKind::Drag => each(&|shape| Figure::Force { shape, along: 0 }),
+            ObjectiveKind::Lift => each(&|shape| Figure::Force { shape, along: 1 }),
+            ObjectiveKind::Torque => each(&|shape| Figure::Torque { shape }),
+            ObjectiveKind::ShapeHeat => each(&|shape| Figure::Heat { shape }),
+            ObjectiveKind::HeatOutflow => vec![Figure::HeatOutflow],
+            ObjectiveKind::PressureDrop => vec![Figure::PressureDrop],
+            ObjectiveKind::Dissipation => vec![Figure::Dissipation],
+            _ => vec![Figure::FlowRate],
+        }
+    }
 
     /// Whether the objective can be told: a scene without variables may have another scene's, which is about heat.
     fn has_objective(&self) -> bool {

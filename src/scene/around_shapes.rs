@@ -4,13 +4,12 @@ use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
 use crate::config::custom::{Part, ShapeEntry, ShapeNumber, Side, SideKind};
 use crate::config::formula::Function;
-use crate::config::scene::{Asked, Config, DriveName, LimitEntry, ObjectiveKind, Term};
+use crate::config::scene::{Config, DriveName, LimitEntry, ObjectiveKind, Term};
 use crate::error::{BadInput, Error};
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::conditions::Conditions as _;
 use crate::sph::cloud::equations::{Motion, Warmth};
-use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
@@ -267,34 +266,6 @@ impl AroundShapes {
         let mut numbers = self.flow.cloud.numbers();
         self.wanted.iter().zip(variables).for_each(|(&(shape, k), x)| numbers[shape][k] = *x);
         numbers
-    }
-
-    /// The figures whose sum a kind of objective is.
-    pub(super) fn figures_of(&self, asked: &Asked) -> Vec<Figure> {
-        let probe = |field: usize| {
-            let probe = self.probes.iter().position(|place| asked.at.as_deref() == Some(place.as_slice()));
-            probe.map(|probe| Figure::Probe { field, probe }).into_iter().collect()
-        };
-        let all: Vec<usize> = match asked.shapes.as_slice() {
-            [] if !self.flow.cloud.places.bodies.is_empty() => self.flow.cloud.places.bodies.clone(),
-            [] => self.flow.cloud.places.touching.clone(),
-            given => given.to_vec(),
-        };
-        let each = |of: &dyn Fn(usize) -> Figure| all.iter().map(|&shape| of(shape)).collect();
-        match asked.kind {
-            ObjectiveKind::Pressure => probe(2),
-            ObjectiveKind::Temperature => probe(3),
-            ObjectiveKind::VelocityX => probe(0),
-            ObjectiveKind::VelocityY => probe(1),
-            ObjectiveKind::Drag => each(&|shape| Figure::Force { shape, along: 0 }),
-            ObjectiveKind::Lift => each(&|shape| Figure::Force { shape, along: 1 }),
-            ObjectiveKind::Torque => each(&|shape| Figure::Torque { shape }),
-            ObjectiveKind::ShapeHeat => each(&|shape| Figure::Heat { shape }),
-            ObjectiveKind::HeatOutflow => vec![Figure::HeatOutflow],
-            ObjectiveKind::PressureDrop => vec![Figure::PressureDrop],
-            ObjectiveKind::Dissipation => vec![Figure::Dissipation],
-            _ => vec![Figure::FlowRate],
-        }
     }
 
     /// Value and derivative of area or distance; none for other kinds.

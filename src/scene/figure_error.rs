@@ -122,15 +122,18 @@ pub fn main_figure(record: &Record) -> Option<String> {
     figures(record).into_iter().next().map(|(name, _)| name)
 }
 
+/// The multiple of a spacing that is nearest to a length.
+pub fn length_in(length: f64, spacing: f64) -> f64 {
+    (length / spacing).round() * spacing
+}
+
 /// What a figure of a coarser run is multiplied with: a sum over a channel belongs to its length, which is so many spacings in some
 /// scenes, and the nearest multiple of the spacing in the heated channel.
 fn same_extent(config: &Config, name: &str, spacing: f64) -> f64 {
     let (dx, length) = (config.resolution.dx, config.channel.length);
     match (name, columns_of(config.scene)) {
         ("kinetic_energy", Some(_)) => dx / spacing,
-        ("pumping_power", None) if config.scene == Family::HeatedChannel => {
-            length / ((length / spacing).round() * spacing)
-        }
+        ("pumping_power", None) if config.scene == Family::HeatedChannel => length / length_in(length, spacing),
         _ => 1.0,
     }
 }

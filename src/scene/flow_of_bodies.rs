@@ -7,14 +7,14 @@ use super::around_shapes::{check_finite, no_solution, Judged};
 use super::history::{History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use crate::config::custom::Part;
-use crate::config::scene::{Asked, Config, ObjectiveKind};
+use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::Error;
 use crate::numerics::threads;
 use crate::sph::cloud::conditions::Conditions;
 use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::fit::COEFFICIENTS_3D;
 use crate::sph::cloud::problem::NoSolution;
-use crate::sph::cloud::space::equations::{Bar, State, PRESSURE, TEMPERATURE};
+use crate::sph::cloud::space::equations::{Bar, State};
 use crate::sph::cloud::space::figures::Rate;
 use crate::sph::cloud::space::march::March;
 use crate::sph::cloud::space::particles::{Cloud, Shaped};
@@ -67,47 +67,16 @@ impl Around for AroundBodies {
         self.go_back(variables, history, of, MEMORY)
     }
 
-    fn unit(&self, figure: Figure) -> f64 {
-        let fluid = &self.config().fluid;
-        match figure {
-            Figure::FlowRate | Figure::Probe { field: 0..=2 | TEMPERATURE, .. } => 1.0,
-            Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
-            _ => fluid.density,
-        }
+    fn measured(&self, solution: &Solution, figure: Figure) -> f64 {
+        self.flow.measures.value(figure, &self.flow.at(solution))
     }
 
-    fn value(&self, solution: &Solution, figure: Figure) -> f64 {
-        let reference = match figure {
-            Figure::Probe { field: TEMPERATURE, .. } => self.config().fluid.inlet_temperature,
-            _ => 0.0,
-        };
-        reference + self.unit(figure) * self.flow.measures.value(figure, &self.flow.at(solution))
+    fn probes(&self) -> Vec<&[f64]> {
+        self.probes.iter().map(|place| &place[..]).collect()
     }
 
-    fn figures(&self, asked: &Asked) -> Vec<Figure> {
-        let probe = |field: usize| {
-            let probe = self.probes.iter().position(|place| asked.at.as_deref() == Some(place.as_slice()));
-            probe.map(|probe| Figure::Probe { field, probe }).into_iter().collect()
-        };
-        let all: Vec<usize> = match asked.shapes.as_slice() {
-            [] => (0..self.config().shapes.len()).collect(),
-            given => given.to_vec(),
-        };
-        let each = |of: &dyn Fn(usize) -> Figure| all.iter().map(|&shape| of(shape)).collect();
-        match asked.kind {
-            ObjectiveKind::Pressure => probe(PRESSURE),
-            ObjectiveKind::Temperature => probe(TEMPERATURE),
-            ObjectiveKind::VelocityX => probe(0),
-            ObjectiveKind::VelocityY => probe(1),
-            ObjectiveKind::VelocityZ => probe(2),
-            ObjectiveKind::Torque => each(&|shape| Figure::Torque { shape }),
-            ObjectiveKind::Drag => each(&|shape| Figure::Force { shape, along: 0 }),
-            ObjectiveKind::Lift => each(&|shape| Figure::Force { shape, along: 1 }),
-            ObjectiveKind::ShapeHeat => each(&|shape| Figure::Heat { shape }),
-            ObjectiveKind::HeatOutflow => vec![Figure::HeatOutflow],
-            ObjectiveKind::PressureDrop => vec![Figure::PressureDrop],
-            _ => vec![Figure::FlowRate],
-        }
+    fn judged_shapes(&self) -> Vec<usize> {
+        (0..self.config().shapes.len()).collect()
     }
 
     fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {

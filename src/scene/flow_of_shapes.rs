@@ -6,7 +6,7 @@ use super::around_shapes::{check_finite, no_solution, AroundShapes, Judged};
 use super::history::{History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use crate::config::custom::Part;
-use crate::config::scene::{Asked, Config, ObjectiveKind};
+use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::Error;
 use crate::numerics::threads;
 use crate::sph::cloud::equations::{Bar, State};
@@ -69,25 +69,21 @@ impl Around for AroundShapes {
         self.go_back(variables, history, of, MEMORY)
     }
 
-    fn unit(&self, figure: Figure) -> f64 {
-        let fluid = &self.config().fluid;
-        match figure {
-            Figure::FlowRate | Figure::Probe { field: 0 | 1 | 3, .. } => 1.0,
-            Figure::Heat { .. } | Figure::HeatOutflow => fluid.density * fluid.heat_capacity,
-            _ => fluid.density,
+    fn measured(&self, solution: &Solution, figure: Figure) -> f64 {
+        self.flow.value(solution, figure)
+    }
+
+    fn probes(&self) -> Vec<&[f64]> {
+        self.probes.iter().map(|place| &place[..]).collect()
+    }
+
+    fn judged_shapes(&self) -> Vec<usize> {
+        let places = &self.flow.cloud.places;
+        if places.bodies.is_empty() {
+            places.touching.clone()
+        } else {
+            places.bodies.clone()
         }
-    }
-
-    fn value(&self, solution: &Solution, figure: Figure) -> f64 {
-        let reference = match figure {
-            Figure::Probe { field: 3, .. } => self.config().fluid.inlet_temperature,
-            _ => 0.0,
-        };
-        reference + self.unit(figure) * self.flow.value(solution, figure)
-    }
-
-    fn figures(&self, asked: &Asked) -> Vec<Figure> {
-        self.figures_of(asked)
     }
 
     fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {

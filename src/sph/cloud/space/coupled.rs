@@ -12,12 +12,8 @@
 //! border, and behind them `[N]`.
 
 use super::equations::{Derivatives, Equations, FLOW, PRESSURE, TEMPERATURE};
-use super::linear::System;
+use super::linear::{solve_scaled, System};
 use super::scalar::Scalar;
-use crate::numerics::krylov::gmres_restarted;
-
-/// Products before GMRES begins anew, and at most.
-const PRODUCTS: (usize, usize) = (120, 600);
 
 /// The coupled system at a state, or its transpose.
 pub struct Coupled<'a> {
@@ -41,13 +37,13 @@ impl<'a> Coupled<'a> {
         Self { flow, heat, push, slopes: (0..equations.inside).map(of).collect(), transposed }
     }
 
-    /// Adds `sign` times B T, or in the transpose B^T z, of a vector to another.
-    fn push_by(&self, sign: f64, z: &mut [f64], t: &mut [f64]) {
+    /// Adds B T to z, or in the transpose B^T z to T.
+    fn push_by(&self, z: &mut [f64], t: &mut [f64]) {
         for i in 0..self.slopes.len() {
             let own = &mut z[FLOW * i..FLOW * i + 3];
             match self.transposed {
-                false => (0..3).for_each(|e| own[e] += sign * self.push[e] * t[i]),
-                true => t[i] += sign * (0..3).map(|e| self.push[e] * own[e]).sum::<f64>(),
+                false => (0..3).for_each(|e| own[e] += self.push[e] * t[i]),
+                true => t[i] += (0..3).map(|e| self.push[e] * own[e]).sum::<f64>(),
             }
         }
     }
@@ -78,11 +74,11 @@ impl<'a> Coupled<'a> {
         let (mut z, mut t) = (z.to_vec(), t.to_vec());
         if self.transposed {
             z = self.flow.precondition(&z);
-            self.push_by(1.0, &mut z, &mut t);
+            self.push_by(&mut z, &mut t);
             t = self.heat.nearly(&t);
         } else {
             t = self.heat.nearly(&t);
-            self.push_by(1.0, &mut z, &mut t);
+            self.push_by(&mut z, &mut t);
             z = self.flow.precondition(&z);
         }
         z.extend(t);
@@ -99,26 +95,11 @@ impl<'a> Coupled<'a> {
         products: &mut usize,
     ) -> Option<Vec<f64>> {
         let (n, whole) = (self.heat.size(), right.len());
-        let scaled = |x: &mut [f64], [continuity, heat]: [f64; 2]| {
+        let scale = |x: &mut [f64], back: bool| {
+            let [continuity, heat] = if back { [1.0 / continuity, 1.0 / heat] } else { [continuity, heat] };
             x[..FLOW * n].chunks_exact_mut(FLOW).for_each(|row| row[PRESSURE] *= continuity);
             x[whole - n..].iter_mut().for_each(|x| *x *= heat);
         };
-        let count = std::cell::Cell::new(0);
-        let times = |x: &[f64]| {
-            count.set(count.get() + 1);
-            let mut y = self.times(x);
-            scaled(&mut y, [continuity, heat]);
-            y
-        };
-        let precondition = |x: &[f64]| {
-            let mut x = x.to_vec();
-            scaled(&mut x, [1.0 / continuity, 1.0 / heat]);
-            self.precondition(&x)
-        };
-        let mut right = right.to_vec();
-        scaled(&mut right, [continuity, heat]);
-        let found = gmres_restarted(&right, tolerance, PRODUCTS, &times, &precondition);
-        *products += count.get();
-        found
+        solve_scaled(right, tolerance, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
     }
 }

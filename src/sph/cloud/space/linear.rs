@@ -506,25 +506,38 @@ impl System {
 
     /// The solution to a relative residual, in which rows of continuity count `weight` times; adds the products that it took.
     pub fn solve(&self, right: &[f64], tolerance: f64, weight: f64, products: &mut usize) -> Option<Vec<f64>> {
-        let scaled = |x: &mut [f64], by: f64| self.scale(x, by);
-        let count = std::cell::Cell::new(0);
-        let times = |x: &[f64]| {
-            count.set(count.get() + 1);
-            let mut y = self.times(x);
-            scaled(&mut y, weight);
-            y
-        };
-        let precondition = |x: &[f64]| {
-            let mut x = x.to_vec();
-            scaled(&mut x, 1.0 / weight);
-            self.precondition(&x)
-        };
-        let mut right = right.to_vec();
-        scaled(&mut right, weight);
-        let found = gmres_restarted(&right, tolerance, PRODUCTS, &times, &precondition);
-        *products += count.get();
-        found
+        let scale = |x: &mut [f64], back: bool| self.scale(x, if back { 1.0 / weight } else { weight });
+        solve_scaled(right, tolerance, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
     }
+}
+
+/// A solution by GMRES whose rows count by a scale, given the products with the matrix and with its preconditioner. `scale` multiplies
+/// numbers of rows, or divides by the same if it shall take them `back`. Adds the products that it took.
+pub(super) fn solve_scaled(
+    right: &[f64],
+    tolerance: f64,
+    times: &dyn Fn(&[f64]) -> Vec<f64>,
+    precondition: &dyn Fn(&[f64]) -> Vec<f64>,
+    scale: &dyn Fn(&mut [f64], bool),
+    products: &mut usize,
+) -> Option<Vec<f64>> {
+    let count = std::cell::Cell::new(0);
+    let times = |x: &[f64]| {
+        count.set(count.get() + 1);
+        let mut y = times(x);
+        scale(&mut y, false);
+        y
+    };
+    let precondition = |x: &[f64]| {
+        let mut x = x.to_vec();
+        scale(&mut x, true);
+        precondition(&x)
+    };
+    let mut right = right.to_vec();
+    scale(&mut right, false);
+    let found = gmres_restarted(&right, tolerance, PRODUCTS, &times, &precondition);
+    *products += count.get();
+    found
 }
 
 /// The matrix of the heat's residual by T.

@@ -127,12 +127,11 @@ impl<'a> March<'a> {
     }
 }
 
-/// The flow of a state as a vector, with lambda and the drive where they are unknown.
-fn packed(state: &State, [lambda, drive]: [bool; 2]) -> Vec<f64> {
-    let n = state.fields[0].len();
-    let mut x: Vec<f64> = (0..FLOW * n).map(|k| state.fields[k % FLOW][k / FLOW]).collect();
-    x.extend(lambda.then_some(state.lambda));
-    x.extend(drive.then_some(state.drive));
+/// The flow as a vector, with lambda and the drive where they are unknown, given `of` a function of states.
+fn packed(n: usize, [lambda, drive]: [bool; 2], of: impl Fn(&dyn Fn(&State) -> f64) -> f64) -> Vec<f64> {
+    let mut x: Vec<f64> = (0..FLOW * n).map(|k| of(&|state| state.fields[k % FLOW][k / FLOW])).collect();
+    x.extend(lambda.then(|| of(&|state| state.lambda)));
+    x.extend(drive.then(|| of(&|state| state.drive)));
     x
 }
 
@@ -212,14 +211,9 @@ impl Scheme<3, 5, C> for March<'_> {
             let found = flow.solve(right, ADJOINT, weight, &mut counts.iterations);
             return found.ok_or(NoSteadyState::Adjoint);
         };
-        let known = packed(guess.now, *extra);
-        let first: Vec<f64> = match guess.ratio > 0.0 {
-            false => known.clone(),
-            true => {
-                let before = packed(guess.before, *extra);
-                known.iter().zip(before).map(|(now, before)| now + guess.ratio * (now - before)).collect()
-            }
-        };
+        let n = equations.particles();
+        let known = packed(n, *extra, |number| number(guess.now));
+        let first = packed(n, *extra, |number| guess.of(number));
         let accuracy = (TOLERANCE, ROUNDING);
         let found = flow.solve_from(right, [&first, &known], accuracy, weight, &mut counts.iterations);
         found.ok_or(NoSteadyState::Unsolved)
