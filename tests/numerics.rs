@@ -2,10 +2,14 @@
 
 use hydrograd::error::Error;
 use hydrograd::numerics::blocks::{Block, Blocks};
+use hydrograd::numerics::incomplete_lu::IncompleteLu;
 use hydrograd::numerics::interrupt::{check, check_own, is_asked_here, Stop};
+use hydrograd::numerics::krylov::gmres;
 use hydrograd::numerics::pool::Buffers;
 use hydrograd::numerics::ranks::{started, How, Ranks};
+use hydrograd::numerics::sparse_lu::BlockMatrix;
 use hydrograd::numerics::sweep::{clear, copied, copy, zeros, STRETCH};
+use hydrograd::numerics::two_level::TwoLevel;
 use std::collections::BTreeSet;
 
 fn keep<T: bytemuck::Pod>(blocks: &Blocks, values: &[T]) -> Block {
@@ -135,5 +139,70 @@ fn numbers_are_filled_to_the_last() {
         assert!(to == from && copied(&from) == from, "{count}");
         clear(&mut to);
         assert!(to == vec![0.0; count] && zeros::<f64>(count) == to, "{count}");
+    }
+}
+
+/// Diffusion with a wind along x in a cube of `side`^3 nodes, 0 outside of it; values are given at its first plane.
+fn wind(side: usize) -> BlockMatrix {
+    let place = |i: usize| [i / side / side, i / side % side, i % side];
+    let neighbour = |i: usize, d: usize, up: bool| {
+        let at = place(i)[d];
+        let step = side.pow(2 - d as u32);
+        match up {
+            true => (at + 1 < side).then(|| i + step),
+            false => (at > 0).then(|| i - step),
+        }
+    };
+    let ways = || (0..3).flat_map(|d| [(d, false), (d, true)]);
+    let list = |i: usize| ways().filter_map(|(d, up)| neighbour(i, d, up)).map(|j| j as u32).collect();
+    let mut matrix = BlockMatrix::of_lists(side.pow(3), 1, list);
+    for i in 0..side.pow(3) {
+        let own = matrix.entry(i, i as u32);
+        matrix.values[own] = if place(i)[0] == 0 { 1.0 } else { 6.0 };
+        for (d, up) in ways().filter(|_| place(i)[0] > 0) {
+            if let Some(j) = neighbour(i, d, up) {
+                let entry = matrix.entry(i, j as u32);
+                matrix.values[entry] = if d > 0 {
+                    -1.0
+                } else if up {
+                    -0.9
+                } else {
+                    -1.1
+                };
+            }
+        }
+    }
+    matrix
+}
+
+/// With groups the products that a solution takes hardly grow with the size of the cube, and with the incomplete factors alone they
+/// do; the solutions are those of the matrix and of its transpose.
+#[test]
+fn groups_of_nodes_save_iterations() {
+    let products = |side: usize, transposed: bool, with_groups: bool| {
+        let mut matrix = wind(side);
+        if transposed {
+            matrix.transpose();
+        }
+        let known: Vec<f64> = (0..side.pow(3)).map(|i| 1.0 + (0.1 * i as f64).sin()).collect();
+        let right = matrix.times(&known, false);
+        let factors = TwoLevel::new(&matrix, 1).expect("factors");
+        let alone = IncompleteLu::<1>::new(&matrix).expect("factors");
+        let count = std::cell::Cell::new(0);
+        let times = |x: &[f64]| {
+            count.set(count.get() + 1);
+            matrix.times(x, false)
+        };
+        let precondition = |x: &[f64]| if with_groups { factors.solve(&matrix, x, 1) } else { alone.solve(x) };
+        let found = gmres(&right, 1e-10, 200, &times, &precondition).expect("a solution");
+        let error = found.iter().zip(&known).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(error < 1e-7, "{side} {transposed} {with_groups}: {error:e}");
+        count.get()
+    };
+    for transposed in [false, true] {
+        let [small, large] = [12, 30].map(|side| products(side, transposed, true));
+        let [small_alone, large_alone] = [12, 30].map(|side| products(side, transposed, false));
+        assert!(large < small + 8, "{small} {large}");
+        assert!(large_alone > small_alone + 8 && 3 * large < 2 * large_alone, "{small_alone} {large_alone} {large}");
     }
 }

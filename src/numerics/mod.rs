@@ -19,3 +19,4 @@ pub mod streamlines;
 pub mod sweep;
 pub mod thread_pool;
 pub mod threads;
+pub mod two_level;

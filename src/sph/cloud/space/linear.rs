@@ -16,8 +16,8 @@
 //! as long, since S is up to ten times a0 / dt lap^-1 for pressures that change from point to point, and no Laplacian has that; with
 //! (lap + a0 / dt tau S)^-1 there are as many, and the inner iterations do not converge.
 //!
-//! K^-1 and lap^-1 are GMRES again with incomplete factors, to a tenth; so the outer iteration is a flexible one (Saad 1993). A pair of particles
-//! has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
+//! K^-1 and lap^-1 are GMRES again, with incomplete factors and a correction on groups of particles ([`crate::numerics::two_level`]), to a
+//! third, which one or two products reach; so the outer iteration is a flexible one (Saad 1993). A pair of particles has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
 //! `[N, 4]`, and behind them the numbers of the whole flow: lambda and a drive, as a border of the matrix.
 
 use super::super::equations::Warmth;
@@ -27,13 +27,15 @@ use super::equations::{dot, laplacian, Condition, Derivatives, End, Equations, M
 use crate::numerics::incomplete_lu::IncompleteLu;
 use crate::numerics::krylov::{gmres, gmres_restarted};
 use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Order, Singular, SparseLu};
+use crate::numerics::two_level::TwoLevel;
 use std::ops::Range;
 use std::sync::Arc;
 
 /// Products before GMRES begins anew, and at most.
 const PRODUCTS: (usize, usize) = (120, 600);
-/// Relative residual of a solution with K, and products that it may take.
-const INNER: f64 = 0.05;
+/// Relative residual of a solution with K or the Laplacian, and products that it may take. (A twentieth saves a tenth of the outer
+/// iterations, each of which takes twice as long.)
+const INNER: f64 = 0.3;
 const INNER_PRODUCTS: usize = 80;
 
 /// Which of a pair's numbers the rows of a particle take.
@@ -310,14 +312,21 @@ pub struct System {
     corner: Vec<Vec<f64>>,
     threads: usize,
     /// K with its factors, of each component of the velocity (by index).
-    carrying: Vec<(BlockMatrix, IncompleteLu<1>)>,
+    carrying: Vec<(BlockMatrix, TwoLevel)>,
     which: [usize; 3],
     /// Factors of the Laplacian.
-    laplace: Option<IncompleteLu<1>>,
+    laplace: Option<TwoLevel>,
     /// Solutions of the preconditioner with each column.
     solved: Vec<Vec<f64>>,
     /// Factors of all of the matrix, instead of those of its parts.
     whole: Option<Whole>,
+}
+
+/// A solution with one part of the matrix to [`INNER`].
+fn nearly(matrix: &BlockMatrix, factors: &TwoLevel, right: &[f64], threads: usize) -> Vec<f64> {
+    let precondition = |x: &[f64]| factors.solve(matrix, x, threads);
+    gmres(right, INNER, INNER_PRODUCTS, &|x| matrix.times_on(x, threads), &precondition)
+        .unwrap_or_else(|| precondition(right))
 }
 
 /// Factors of all of a matrix.
@@ -364,7 +373,7 @@ impl System {
         };
         let parts = if whole.is_some() { 0 } else { 3 };
         let mut which = [0; 3];
-        let mut carrying: Vec<(BlockMatrix, IncompleteLu<1>)> = vec![];
+        let mut carrying: Vec<(BlockMatrix, TwoLevel)> = vec![];
         for e in 0..parts {
             if let Some(other) = (0..e).find(|&other| linear.is_alike(e, other)) {
                 which[e] = which[other];
@@ -372,11 +381,11 @@ impl System {
             }
             which[e] = carrying.len();
             let matrix = linear.carrying(e);
-            let factors = IncompleteLu::new(&matrix)?;
+            let factors = TwoLevel::new(&matrix, threads)?;
             carrying.push((matrix, factors));
         }
         let has_laplace = whole.is_none() && !linear.laplace.values.is_empty();
-        let laplace = has_laplace.then(|| IncompleteLu::new(&linear.laplace)).transpose()?;
+        let laplace = has_laplace.then(|| TwoLevel::new(&linear.laplace, threads)).transpose()?;
         let solved = vec![];
         let mut system = Self { linear, columns, rows, corner, threads, carrying, which, laplace, solved, whole };
         system.solved = system.columns.iter().map(|column| system.inner(column)).collect();
@@ -385,7 +394,7 @@ impl System {
 
     /// Memory of matrices and factors.
     pub fn bytes(&self) -> usize {
-        let of = |(matrix, factors): &(BlockMatrix, IncompleteLu<1>)| 12 * matrix.values.len() + factors.bytes();
+        let of = |(matrix, factors): &(BlockMatrix, TwoLevel)| 12 * matrix.values.len() + factors.bytes();
         let whole = self.whole.as_ref().map_or(0, Whole::bytes);
         let laplace =
             self.laplace.as_ref().map_or(0, |factors| 12 * self.linear.laplace.values.len() + factors.bytes());
@@ -408,10 +417,7 @@ impl System {
     /// X^-1 of residuals of continuity; where the pressure is given, themselves.
     fn pressure(&self, right: Vec<f64>) -> Vec<f64> {
         let linear = &self.linear;
-        let solved = |right: &[f64], factors: &IncompleteLu<1>| {
-            let times = |x: &[f64]| linear.laplace.times_on(x, self.threads);
-            gmres(right, INNER, INNER_PRODUCTS, &times, &|x| factors.solve(x)).unwrap_or_else(|| factors.solve(right))
-        };
+        let solved = |right: &[f64], factors: &TwoLevel| nearly(&linear.laplace, factors, right, self.threads);
         let free: Vec<f64> = right.iter().zip(&linear.given).map(|(x, given)| if *given { 0.0 } else { *x }).collect();
         let carried = match (&linear.velocity, &self.laplace) {
             (Some(velocity), Some(factors)) if linear.transposed => solved(&linear.carried(velocity, &free), factors),
@@ -440,8 +446,7 @@ impl System {
         let of = |e: usize| {
             let right: Vec<f64> = (0..n).map(|i| right[FLOW * i + e] - pushed[FLOW * i + e]).collect();
             let (matrix, factors) = &self.carrying[self.which[e]];
-            gmres(&right, INNER, INNER_PRODUCTS, &|x| matrix.times_on(x, 1), &|x| factors.solve(x))
-                .unwrap_or_else(|| factors.solve(&right))
+            nearly(matrix, factors, &right, 1)
         };
         let velocity: [Vec<f64>; 3] = match self.threads {
             0 | 1 => std::array::from_fn(of),

@@ -1,8 +1,8 @@
 //! Systems of one unknown a particle, such as heat and the map of positions: GMRES with incomplete factors.
 
-use crate::numerics::incomplete_lu::IncompleteLu;
 use crate::numerics::krylov::{gmres, gmres_restarted};
 use crate::numerics::sparse_lu::{dot, BlockMatrix, Singular};
+use crate::numerics::two_level::TwoLevel;
 
 /// Products of a solution with one unknown a particle.
 const PRODUCTS: (usize, usize) = (100, 1000);
@@ -11,7 +11,7 @@ const PRODUCTS: (usize, usize) = (100, 1000);
 #[derive(Debug)]
 pub struct Scalar {
     matrix: BlockMatrix,
-    factors: IncompleteLu<1>,
+    factors: TwoLevel,
     threads: usize,
 }
 
@@ -19,7 +19,7 @@ impl Scalar {
     /// # Errors
     /// A particle without a diagonal entry.
     pub fn new(matrix: BlockMatrix, threads: usize) -> Result<Self, Singular> {
-        let factors = IncompleteLu::new(&matrix)?;
+        let factors = TwoLevel::new(&matrix, threads)?;
         Ok(Self { matrix, factors, threads })
     }
 
@@ -30,7 +30,7 @@ impl Scalar {
 
     fn solve_to(&self, right: &[f64], tolerance: f64) -> Option<Vec<f64>> {
         let times = |x: &[f64]| self.matrix.times_on(x, self.threads);
-        gmres_restarted(right, tolerance, PRODUCTS, &times, &|x| self.factors.solve(x))
+        gmres_restarted(right, tolerance, PRODUCTS, &times, &|x| self.factors.solve(&self.matrix, x, self.threads))
     }
 
     /// The solution to a part of the norm of the right-hand side, from a first guess.
@@ -55,7 +55,7 @@ impl Scalar {
 
     /// A solution to a twentieth.
     pub(super) fn nearly(&self, right: &[f64]) -> Vec<f64> {
-        let solve = |x: &[f64]| self.factors.solve(x);
+        let solve = |x: &[f64]| self.factors.solve(&self.matrix, x, self.threads);
         gmres(right, 0.05, 80, &|x| self.times(x), &solve).unwrap_or_else(|| solve(right))
     }
 
