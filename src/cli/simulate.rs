@@ -24,6 +24,7 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::particle_grid::write_grid;
 use crate::scene::plausible::Findings;
 use crate::scene::record::Recovery;
 use crate::scene::{checkpoint, Scene};
@@ -253,7 +254,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let history = history.rows;
     bar.finish();
     let end = ParticleFields::of(&mut solver)?;
-    end.write(folder, &loaded.config, &loaded.text)?;
+    end.write(folder, config, &loaded.text)?;
+    let has_grid = write_grid(folder, config, &scene.model, &end)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     let each = 1e9 * seconds / (done * n) as f64;
     println!(
@@ -270,7 +272,10 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
             divided.steps, divided.most, config.fluid.reference_velocity
         );
     }
-    let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
+    let mut pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
+    if has_grid {
+        pictures.push_str(", grid.h5, grid.vti (ParaView)");
+    }
     let finished = Finished {
         loaded,
         folder,
