@@ -54,6 +54,8 @@ Examples:
       a finished run made longer, to the bit as if it had been so long (an interrupted one goes on without --set)
   hydrograd simulate --set time.cfl=2 --recover
       steps that are too long: where it diverges it goes back and makes them shorter
+  hydrograd simulate my.toml --set output.grid=[64,48]
+      the flow at its end also on the points of a grid: grid.h5, grid.vti (scenes of your own)
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
