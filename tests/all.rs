@@ -33,6 +33,7 @@ mod formulations;
 mod free_surface;
 mod gns_parity;
 mod gradient_check;
+mod grids;
 mod heated_channel_3d;
 mod interrupted;
 mod inverse;

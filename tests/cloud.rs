@@ -931,10 +931,10 @@ fn the_gradient_of_a_flow_in_time_is_that_of_differences() {
         let first = around.first();
         let (history, _) = around.march(&first, None, &mut |_, _| Ok(())).unwrap();
         assert!(history.sizes.len() > 10);
-        let exact = around.march_gradient(&first, &history, Of::Objective).unwrap();
+        let exact = around.march_gradient(&first, &history, Of::Objective).unwrap().by_variables;
         let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
         // With room for a few states only, most are made again.
-        let frugal = around.go_back(&first, &history, Of::Objective, 1).unwrap();
+        let frugal = around.go_back(&first, &history, Of::Objective, 1).unwrap().by_variables;
         let apart = exact.iter().zip(&frugal).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(apart < 1e-12 * norm, "{exact:?} and {frugal:?}");
         for k in 0..first.len() {

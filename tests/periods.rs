@@ -157,7 +157,7 @@ fn the_gradient_over_whole_periods_is_that_of_differences() {
     for (text, of) in [(&of_period, Of::Objective), (&of_course, Of::Objective), (&of_course, Of::Limit(0))] {
         let (around, history) = run(text);
         let first = around.first();
-        let exact = around.march_gradient(&first, &history, of).unwrap();
+        let exact = around.march_gradient(&first, &history, of).unwrap().by_variables;
         let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
         for k in 0..first.len() {
             let at = |step: f64| {
@@ -168,6 +168,7 @@ fn the_gradient_over_whole_periods_is_that_of_differences() {
                 window.mean(&history.values(&|moment| match of {
                     Of::Objective => moment.objective,
                     Of::Limit(limit) => moment.limits[limit],
+                    Of::Grid(_) => f64::NAN,
                 }))
             };
             let step = if k == 2 { 1e-5 } else { 2e-4 * first[k] };

@@ -144,7 +144,7 @@ fn the_gradient_is_that_of_differences() {
     let around = AroundBodies::new(&config(&text)).unwrap();
     let first = around.first();
     let (history, _) = march(&around);
-    let exact = around.march_gradient(&first, &history, Of::Objective).unwrap();
+    let exact = around.march_gradient(&first, &history, Of::Objective).unwrap().by_variables;
     let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
     println!("{} particles, {} steps, {exact:?}", around.particles(), history.sizes.len());
     for k in 0..first.len() {

@@ -24,6 +24,7 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::load::Loaded;
 use crate::scene::observers::{Checkpoints, EvenSteps, Frames, History, LastGood};
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::particle_grid::write_grid;
 use crate::scene::plausible::Findings;
 use crate::scene::record::Recovery;
 use crate::scene::{checkpoint, Scene};
@@ -53,6 +54,8 @@ Examples:
       a finished run made longer, to the bit as if it had been so long (an interrupted one goes on without --set)
   hydrograd simulate --set time.cfl=2 --recover
       steps that are too long: where it diverges it goes back and makes them shorter
+  hydrograd simulate my.toml --set output.grid=[64,48]
+      the flow at its end also on the points of a grid: grid.h5, grid.vti (scenes of your own)
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -253,7 +256,8 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let history = history.rows;
     bar.finish();
     let end = ParticleFields::of(&mut solver)?;
-    end.write(folder, &loaded.config, &loaded.text)?;
+    end.write(folder, config, &loaded.text)?;
+    let has_grid = write_grid(folder, config, &scene.model, &end)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     let each = 1e9 * seconds / (done * n) as f64;
     println!(
@@ -270,7 +274,10 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
             divided.steps, divided.most, config.fluid.reference_velocity
         );
     }
-    let pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
+    let mut pictures = if frames.is_some() { format!(", {part}/particles.pvd (ParaView)") } else { String::new() };
+    if has_grid {
+        pictures.push_str(", grid.h5, grid.vti (ParaView)");
+    }
     let finished = Finished {
         loaded,
         folder,

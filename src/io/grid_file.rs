@@ -6,11 +6,16 @@ use super::vtk::{write_image, Image};
 use super::FileError;
 use std::path::Path;
 
-/// The components `[D][N]` of the velocity in an HDF5 or NumPy file, of shape `[shape.., D]`.
+/// Points along each of `d` axes and the components `[D][points]` of the velocity in an HDF5 or NumPy file, whose shape is `[points.., D]`.
+/// `wanted`: how many points there must be.
 ///
 /// # Errors
 /// Files that cannot be read; another shape.
-pub fn read_velocity(path: &Path, shape: &[usize]) -> Result<Vec<Vec<f64>>, FileError> {
+pub fn read_velocity(
+    path: &Path,
+    d: usize,
+    wanted: Option<&[usize]>,
+) -> Result<(Vec<usize>, Vec<Vec<f64>>), FileError> {
     const NAME: &str = "velocity";
     let (found, numbers) = if path.extension().is_some_and(|extension| extension == "npy") {
         read_npy(path)?
@@ -23,17 +28,15 @@ pub fn read_velocity(path: &Path, shape: &[usize]) -> Result<Vec<Vec<f64>>, File
         let dataset = file.dataset(NAME).map_err(failed(path, "open")(NAME))?;
         (dataset.shape(), dataset.read_raw::<f64>().map_err(failed(path, "read")(NAME))?)
     };
-    let d = shape.len();
-    let wanted = [shape, &[d]].concat();
-    if found != wanted {
-        return Err(mismatch(
-            path,
-            NAME,
-            format!("of shape {found:?}"),
-            &format!("of shape {wanted:?}, by region.size over resolution.dx"),
-        ));
+    let allowed = match wanted {
+        Some(wanted) => format!("of shape {:?}, by region.size over resolution.dx", [wanted, &[d]].concat()),
+        None => format!("of shape [{}{d}]", "N, ".repeat(d)),
+    };
+    if found.len() != d + 1 || found[d] != d || wanted.is_some_and(|wanted| found[..d] != *wanted) {
+        return Err(mismatch(path, NAME, format!("of shape {found:?}"), &allowed));
     }
-    Ok((0..d).map(|a| numbers[a..].iter().step_by(d).copied().collect()).collect())
+    let components = (0..d).map(|a| numbers.iter().skip(a).step_by(d).copied().collect()).collect();
+    Ok((found[..d].to_vec(), components))
 }
 
 /// Writes `grid.h5` and `grid.vti` into a folder.

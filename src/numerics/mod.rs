@@ -6,6 +6,7 @@ pub mod eigenvalues;
 pub mod exponential;
 pub mod gather;
 pub mod grid_convergence;
+pub mod grid_field;
 pub mod incomplete_lu;
 pub mod interrupt;
 pub mod krylov;

@@ -21,7 +21,7 @@ pub struct Flow {
 }
 
 /// `[points * D]` with the component last, as `[D][points]`.
-fn components(values: &[f64], d: usize) -> Vec<Vec<f64>> {
+pub fn components(values: &[f64], d: usize) -> Vec<Vec<f64>> {
     (0..d).map(|a| values[a..].iter().step_by(d).copied().collect()).collect()
 }
 
@@ -31,7 +31,7 @@ fn joined(fields: &[Vec<f64>]) -> Vec<f64> {
 }
 
 /// The numbers of an array in C order.
-fn numbers(array: &PyReadonlyArrayDyn<'_, f64>) -> Vec<f64> {
+pub fn numbers(array: &PyReadonlyArrayDyn<'_, f64>) -> Vec<f64> {
     array.as_slice().map_or_else(|_| array.as_array().iter().copied().collect(), <[f64]>::to_vec)
 }
 

@@ -4,7 +4,7 @@ use super::arrays::{shaped, vector};
 use super::errors::to_python;
 use super::parts::Parts;
 use super::simulate::simulate;
-use super::steady::{steady, unsteady};
+use super::steady::{steady, unsteady, Wanted};
 use super::watch::watched;
 use crate::config::scene::{Config, Precision};
 use crate::design::optimise::Epoch;
@@ -12,7 +12,7 @@ use crate::error::Error;
 use crate::numerics::threads::use_threads;
 use crate::scene::load::Loaded;
 use crate::scene::require_design;
-use numpy::PyArray1;
+use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -121,8 +121,15 @@ impl Scene {
         watched(py, None, |_| Ok(of!(self, parts => parts.objective(&design))?))
     }
 
-    fn steady<'py>(&self, py: Python<'py>, numbers: Option<Vec<f64>>, gradient: bool) -> PyResult<Bound<'py, PyDict>> {
-        steady(py, of!(self, parts => &parts.loaded), numbers, gradient)
+    fn steady<'py>(
+        &self,
+        py: Python<'py>,
+        numbers: Option<Vec<f64>>,
+        gradient: bool,
+        by_grid: Option<PyReadonlyArrayDyn<'py, f64>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let loaded = of!(self, parts => &parts.loaded);
+        steady(py, loaded, &Wanted::new(loaded, numbers, gradient, by_grid, None)?)
     }
 
     fn unsteady<'py>(
@@ -130,9 +137,12 @@ impl Scene {
         py: Python<'py>,
         numbers: Option<Vec<f64>>,
         gradient: bool,
+        by_grid: Option<PyReadonlyArrayDyn<'py, f64>>,
+        velocity: Option<PyReadonlyArrayDyn<'py, f64>>,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        unsteady(py, of!(self, parts => &parts.loaded), numbers, gradient, progress.as_ref())
+        let loaded = of!(self, parts => &parts.loaded);
+        unsteady(py, loaded, &Wanted::new(loaded, numbers, gradient, by_grid, velocity)?, progress.as_ref())
     }
 
     fn value_and_gradient<'py>(

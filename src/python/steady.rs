@@ -1,7 +1,8 @@
 //! Flows of fixed particles around shapes, steady and in time, as Python has them.
 
-use super::arrays::{columns, vector};
+use super::arrays::{columns, shaped_as, vector};
 use super::errors::to_python;
+use super::flow::{components, numbers as numbers_of};
 use super::watch::{watched, Told};
 use crate::error::{BadInput, Error};
 use crate::scene::around_bodies::AroundBodies;
@@ -10,6 +11,8 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::history::{Moment, Of};
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
+use crate::scene::start_field;
+use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{json, Map, Value};
@@ -23,6 +26,19 @@ struct Found {
     fields: ParticleFields,
     /// Of a flow in time: its figures after each step, by name.
     history: Vec<(String, Vec<f64>)>,
+    /// Velocity on `output.grid`, and the derivative by that of the start, `[points, 2]` both.
+    on_grid: Option<Vec<f64>>,
+    by_start: Option<Vec<f64>>,
+}
+
+/// What is wanted of a flow.
+pub struct Wanted {
+    pub numbers: Option<Vec<f64>>,
+    pub gradient: bool,
+    /// The cotangent of the velocity on `output.grid`, `[points, 2]`, whose derivative is wanted instead of the objective's.
+    by_grid: Option<Vec<f64>>,
+    /// The velocity at the start: points along each axis, and its components.
+    start: Option<(Vec<usize>, Vec<Vec<f64>>)>,
 }
 
 /// The numbers that are asked for, or the scene's own.
@@ -53,32 +69,67 @@ fn text(figures: Vec<(&'static str, Value)>) -> String {
     Value::Object(figures).to_string()
 }
 
-fn found(loaded: &Loaded, numbers: Option<Vec<f64>>, gradient: bool) -> Result<Found, Error> {
-    check(loaded)?;
-    if loaded.config.is_around_bodies() {
-        let mut around = AroundBodies::new(&loaded.config)?;
-        let numbers = chosen(numbers, around.first())?;
-        let solution = around.solve(&numbers)?;
-        let (objective, terms) = around.objective(&solution);
-        let gradient = if gradient { Some(around.gradient(&solution, &terms)?) } else { None };
-        let (figures, fields) = (text(around.summary(&solution)), around.fields(&solution));
-        return Ok(Found { numbers, objective, gradient, figures, fields, history: vec![] });
+type Array<'py> = Option<PyReadonlyArrayDyn<'py, f64>>;
+
+impl Wanted {
+    /// # Errors
+    /// Arrays of another shape than the scene's.
+    pub fn new(
+        loaded: &Loaded,
+        numbers: Option<Vec<f64>>,
+        gradient: bool,
+        by_grid: Array<'_>,
+        start: Array<'_>,
+    ) -> PyResult<Self> {
+        let bad = |name: &str, shape: &[usize], allowed: String| {
+            Err(to_python(BadInput::new(format!("{name} of shape {shape:?}")).allowed(allowed).into()))
+        };
+        let config = &loaded.config;
+        let grid = &config.output.grid;
+        if let Some(by) = &by_grid {
+            if grid.is_empty() || by.shape() != [grid.as_slice(), &[2]].concat() {
+                return bad("by_grid_velocity", by.shape(), format!("[N, N, 2] by output.grid, which is {grid:?}"));
+            }
+        }
+        if let Some(start) = &start {
+            if config.region.size.len() != 2 || start.shape().len() != 3 || start.shape()[2] != 2 {
+                return bad("velocity", start.shape(), "[N, N, 2], in two dimensions".into());
+            }
+        }
+        let start = start.map(|start| (start.shape()[..2].to_vec(), components(&numbers_of(&start), 2)));
+        let by_grid = by_grid.map(|by| numbers_of(&by));
+        Ok(Self { numbers, gradient, by_grid, start })
     }
-    let mut around = AroundShapes::new(&loaded.config)?;
-    let numbers = chosen(numbers, around.first())?;
-    let solution = around.solve(&numbers)?;
-    let (objective, terms) = around.objective(&solution);
-    let gradient = if gradient { Some(around.gradient(&solution, &terms)?) } else { None };
-    let (figures, fields) = (text(around.summary(&solution)), around.fields(&solution));
-    Ok(Found { numbers, objective, gradient, figures, fields, history: vec![] })
 }
 
-fn found_in_time(
-    loaded: &Loaded,
-    numbers: Option<Vec<f64>>,
-    gradient: bool,
-    tell: &dyn Fn(f64),
+fn found(loaded: &Loaded, wanted: &Wanted) -> Result<Found, Error> {
+    check(loaded)?;
+    if loaded.config.is_around_bodies() {
+        return solved(&mut AroundBodies::new(&loaded.config)?, wanted, AroundBodies::summary, |_, _, _| Ok(vec![]));
+    }
+    solved(&mut AroundShapes::new(&loaded.config)?, wanted, AroundShapes::summary, AroundShapes::grid_gradient)
+}
+
+fn solved<A: Around>(
+    around: &mut A,
+    wanted: &Wanted,
+    summary: impl Fn(&A, &A::Solution) -> Vec<(&'static str, Value)>,
+    by_grid: impl Fn(&mut A, &A::Solution, &[f64]) -> Result<Vec<f64>, Error>,
 ) -> Result<Found, Error> {
+    let numbers = chosen(wanted.numbers.clone(), around.first())?;
+    let solution = around.solve(&numbers)?;
+    let (objective, terms) = around.objective(&solution);
+    let gradient = match &wanted.by_grid {
+        Some(by) => Some(by_grid(around, &solution, by)?),
+        None if wanted.gradient => Some(around.gradient(&solution, &terms)?),
+        None => None,
+    };
+    let (figures, fields) = (text(summary(around, &solution)), around.fields(&solution));
+    let on_grid = around.velocity_on_grid(&solution);
+    Ok(Found { numbers, objective, gradient, figures, fields, history: vec![], on_grid, by_start: None })
+}
+
+fn found_in_time(loaded: &Loaded, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
     if loaded.config.unsteady().is_none() {
         return Err(BadInput::at("method.flow", "unsteady() of a scene with a steady flow")
             .allowed("method.flow = \"unsteady\"")
@@ -86,27 +137,32 @@ fn found_in_time(
             .into());
     }
     check(loaded)?;
-    match loaded.config.is_around_bodies() {
-        true => marched(&AroundBodies::new(&loaded.config)?, numbers, gradient, tell),
-        false => marched(&AroundShapes::new(&loaded.config)?, numbers, gradient, tell),
+    if loaded.config.is_around_bodies() {
+        return marched(&AroundBodies::new(&loaded.config)?, wanted, tell);
     }
+    let mut around = AroundShapes::new(&loaded.config)?;
+    if let Some((shape, velocity)) = &wanted.start {
+        let velocity = [velocity[0].clone(), velocity[1].clone()];
+        around.start = Some(start_field::on_grid(&loaded.config, "velocity", [shape[0], shape[1]], velocity)?);
+    }
+    marched(&around, wanted, tell)
 }
 
-fn marched(
-    around: &impl Around,
-    numbers: Option<Vec<f64>>,
-    gradient: bool,
-    tell: &dyn Fn(f64),
-) -> Result<Found, Error> {
+fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
     let end = around.config().time.end;
-    let numbers = chosen(numbers, around.first())?;
+    let numbers = chosen(wanted.numbers.clone(), around.first())?;
     let (history, last) = around.march(&numbers, None, &mut |moment, _| {
         tell(moment.time / end);
         Ok(())
     })?;
     let window = around.window(&numbers, &history)?;
     let objective = history.objective(&window);
-    let gradient = if gradient { Some(around.march_gradient(&numbers, &history, Of::Objective)?) } else { None };
+    let of = wanted.by_grid.as_ref().map_or(Of::Objective, |by| Of::Grid(by));
+    let derivative = match wanted.gradient || wanted.by_grid.is_some() {
+        true => Some(around.march_gradient(&numbers, &history, of)?),
+        false => None,
+    };
+    let (gradient, by_start) = derivative.map_or((None, None), |found| (Some(found.by_variables), found.by_start));
     let mean = |(k, (name, _)): (usize, &(String, _))| (name.clone(), json!(history.of(&window, k).mean));
     let figures: Map<String, Value> = history.figures.iter().enumerate().map(mean).collect();
     let of = |value: &dyn Fn(&Moment) -> f64| history.moments.iter().map(value).collect::<Vec<f64>>();
@@ -114,17 +170,13 @@ fn marched(
     columns.extend(history.figures.iter().enumerate().map(|(k, (name, _))| (name.clone(), of(&|m| m.values[k]))));
     let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     let figures = Value::Object(figures).to_string();
-    Ok(Found { numbers, objective, gradient, figures, fields, history: columns })
+    let on_grid = around.velocity_on_grid(&last);
+    Ok(Found { numbers, objective, gradient, figures, fields, history: columns, on_grid, by_start })
 }
 
 /// See ``hydrograd.Scene.steady``.
-pub fn steady<'py>(
-    py: Python<'py>,
-    loaded: &Loaded,
-    numbers: Option<Vec<f64>>,
-    gradient: bool,
-) -> PyResult<Bound<'py, PyDict>> {
-    let found = py.detach(|| found(loaded, numbers, gradient)).map_err(|error| to_python(error.into()))?;
+pub fn steady<'py>(py: Python<'py>, loaded: &Loaded, wanted: &Wanted) -> PyResult<Bound<'py, PyDict>> {
+    let found = py.detach(|| found(loaded, wanted)).map_err(|error| to_python(error.into()))?;
     found.into_python(py, loaded)
 }
 
@@ -132,19 +184,20 @@ pub fn steady<'py>(
 pub fn unsteady<'py>(
     py: Python<'py>,
     loaded: &Loaded,
-    numbers: Option<Vec<f64>>,
-    gradient: bool,
+    wanted: &Wanted,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let found = watched(py, progress, |teller| {
-        Ok(found_in_time(loaded, numbers, gradient, &|share| teller.often(Told::Share(share)))?)
-    })?;
+    let found =
+        watched(py, progress, |teller| Ok(found_in_time(loaded, wanted, &|share| teller.often(Told::Share(share)))?))?;
     let history = PyDict::new(py);
     for (name, values) in &found.history {
         history.set_item(name, vector(py, values.clone()))?;
     }
+    let points = wanted.start.as_ref().map(|(shape, _)| [shape.as_slice(), &[2]].concat());
+    let by_start = found.by_start.clone().zip(points).map(|(by, shape)| shaped_as(py, by, &shape)).transpose()?;
     let all = found.into_python(py, loaded)?;
     all.set_item("history", history)?;
+    all.set_item("velocity_gradient", by_start)?;
     Ok(all)
 }
 
@@ -162,6 +215,9 @@ impl Found {
         all.set_item("pressure", vector(py, pressure))?;
         all.set_item("temperature", temperature.map(|temperature| vector(py, temperature)))?;
         all.set_item("tag", vector(py, tag))?;
+        let shape = [loaded.config.output.grid.as_slice(), &[2]].concat();
+        let on_grid = self.on_grid.map(|field| shaped_as(py, field, &shape)).transpose()?;
+        all.set_item("grid_velocity", on_grid)?;
         Ok(all)
     }
 }

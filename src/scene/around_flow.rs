@@ -3,7 +3,7 @@
 
 use super::around_bodies::AroundBodies;
 use super::around_shapes::{has_objective, AroundShapes, Judged};
-use super::history::{History, Of, Watch};
+use super::history::{Derivative, History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use super::periods::{Period, TooFew, Window};
 use crate::config::custom::Part;
@@ -109,11 +109,15 @@ pub trait Around {
         sizes: Option<&[f64]>,
         watch: Watch<'_, Self::Solution>,
     ) -> Result<(History, Self::Solution), Error>;
-    /// The derivative of the mean of the window by the variables, along the steps of a history.
+    /// The derivative along the steps of a history.
     ///
     /// # Errors
     /// As [`Self::march`] and [`Self::window`].
-    fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error>;
+    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error>;
+    /// The velocity on `output.grid`, `[points, D]`, not a number inside of shapes; none without a grid.
+    fn velocity_on_grid(&self, _solution: &Self::Solution) -> Option<Vec<f64>> {
+        None
+    }
     /// A figure per density, heat per density and heat capacity.
     fn measured(&self, solution: &Self::Solution, figure: Figure) -> f64;
     /// Points of probes, `[probes][D]`.
@@ -335,7 +339,7 @@ pub trait Around {
                 let (_, terms) = self.objective(solution);
                 self.gradient(solution, &terms)?
             }
-            Flowed::InTime(history) => self.march_gradient(variables, history, Of::Objective)?,
+            Flowed::InTime(history) => self.march_gradient(variables, history, Of::Objective)?.by_variables,
         };
         Ok(Judged { value, by_variables })
     }
@@ -363,7 +367,7 @@ pub trait Around {
             Flowed::InTime(history) => {
                 let window = self.window(variables, history)?;
                 let value = window.mean(&history.values(&|moment| moment.limits[limit]));
-                Judged { value, by_variables: self.march_gradient(variables, history, Of::Limit(limit))? }
+                Judged { value, by_variables: self.march_gradient(variables, history, Of::Limit(limit))?.by_variables }
             }
         })
     }

@@ -3,10 +3,10 @@
 
 use super::around_flow::Around;
 use super::around_shapes::{check_finite, no_flow, tolerance};
-use super::history::{History, Moment, Of, Watch};
-use crate::config::formula::Function;
-use crate::config::scene::{Config, ObjectiveKind};
+use super::history::{Derivative, History, Moment, Of, Watch};
+use crate::config::scene::ObjectiveKind;
 use crate::error::Error;
+use crate::numerics::grid_field::GridVelocity;
 use crate::numerics::interrupt;
 use crate::sph::cloud::conditions::Conditions;
 use crate::sph::cloud::equations::{Bar, Condition, Motion, State, Warmth};
@@ -47,6 +47,12 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     /// Spacing of each particle.
     fn spacing(&self) -> &[f64];
     fn held(&self) -> Option<&Held>;
+    /// The velocity at the start where a grid gives it instead of formulas.
+    fn start(&self) -> Option<&GridVelocity> {
+        None
+    }
+    /// Adds the cotangents of a state, given those of its velocity on `output.grid`, `[points, D]`.
+    fn grid_back(&self, _shaped: &Arc<Self::Shaped>, _state: &State<F>, _by: &[f64], _bar: &mut Bar<D, F, C>) {}
     /// Numbers of shapes of which a history has figures.
     fn shapes_of_history(&self) -> Vec<usize>;
     /// The cloud for these variables.
@@ -100,18 +106,33 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     ///
     /// # Errors
     /// Formulas that cannot be read, and a cloud that folds.
-    fn begin(&self, variables: &[f64]) -> Result<Begun<Self::Shaped, F>, Error> {
+    fn begin(&self, variables: &[f64]) -> Result<Begun<'_, Self::Shaped, F>, Error> {
         let shaped = self.shaped(variables)?;
         let (velocity, temperature) = self.config().initial.at_start(D)?;
-        let formulas = (velocity.as_slice(), temperature.as_ref());
-        let first = first_state(self.config(), Self::view(&shaped), self.cloud().inside(), formulas);
+        let mut start: Vec<(usize, Field<'_>)> = vec![];
+        match self.start() {
+            Some(given) => start.extend(given.velocity.iter().enumerate().map(|(e, field)| -> (usize, Field<'_>) {
+                (e, Box::new(|[x, y, _]| given.grid.value(field, [x, y])))
+            })),
+            None => start.extend(
+                velocity
+                    .into_iter()
+                    .enumerate()
+                    .map(|(e, function)| -> (usize, Field<'_>) { (e, Box::new(move |place| function.at(place))) }),
+            ),
+        }
+        let reference = self.config().fluid.inlet_temperature;
+        start.extend(
+            temperature.map(|function| -> (usize, Field<'_>) {
+                (D + 1, Box::new(move |place| function.at(place) - reference))
+            }),
+        );
+        let first = first_state(Self::view(&shaped), self.cloud().inside(), &start);
         let flow_rate = self.held().map(|held| match held {
             Held::FlowRate(rate) => *rate,
             // Refused for flows in time.
             Held::Power { .. } => f64::NAN,
         });
-        let start = velocity.into_iter().enumerate().chain(temperature.map(|function| (D + 1, function)));
-        let start = start.filter(|(_, function)| !function.is_constant()).collect();
         Ok(Begun { shaped: Arc::new(shaped), first, flow_rate, start })
     }
 
@@ -171,17 +192,26 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     ///
     /// # Errors
     /// As there.
-    fn go_back(&self, variables: &[f64], history: &History, of: Of, memory: usize) -> Result<Vec<f64>, Error> {
-        let (window, times) = (self.window(variables, history)?, history.times());
-        let values = history.values(&|moment| match of {
-            Of::Objective => moment.objective,
-            Of::Limit(k) => moment.limits[k],
-        });
-        let slopes = window.slopes(&times, &values);
+    fn go_back(&self, variables: &[f64], history: &History, of: Of<'_>, memory: usize) -> Result<Derivative, Error> {
+        let (times, last) = (history.times(), history.sizes.len().saturating_sub(1));
+        let slopes = match of {
+            Of::Grid(_) => None,
+            Of::Objective => Some(history.values(&|moment| moment.objective)),
+            Of::Limit(k) => Some(history.values(&|moment| moment.limits[k])),
+        };
+        let slopes = slopes.map(|values| Ok::<_, Error>(self.window(variables, history)?.slopes(&times, &values)));
+        let slopes = slopes.transpose()?;
         let Begun { shaped, first, flow_rate, start } = self.begin(variables)?;
         let (mut march, view) = (self.scheme(&shaped), Self::view(&shaped));
         let boundary = Boundary { cloud: self.cloud(), view, start, wanted: self.wanted() };
         let mut figures = |k: usize, state: &State<F>, bar: &mut Bar<D, F, C>| {
+            let Some(slopes) = &slopes else {
+                match of {
+                    Of::Grid(by) if k == last => self.grid_back(&shaped, state, by, bar),
+                    _ => {}
+                }
+                return;
+            };
             let by_objective = slopes.by_objective.get(k).copied().unwrap_or(0.0);
             let by_value = slopes.by_values[k];
             if by_value == 0.0 && by_objective == 0.0 {
@@ -195,6 +225,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             };
             match of {
                 Of::Objective => pull_back(self.objective(&solution).1, by_value + by_objective),
+                Of::Grid(_) => {}
                 Of::Limit(limit) => {
                     pull_back(self.terms(&solution, &self.config().limits[limit].asked()).1, by_value);
                     pull_back(self.objective(&solution).1, by_objective);
@@ -218,26 +249,48 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             .map_err(|why| no_flow(self.config(), &why))?;
         let mut all = self.by_variables(&shaped, &found.position, &found.bar)?;
         all.iter_mut().zip(found.parameters).for_each(|(all, by)| *all += by);
-        all.iter_mut().zip(slopes.by_variables).for_each(|(all, by)| *all += by);
+        if let Some(slopes) = slopes {
+            all.iter_mut().zip(slopes.by_variables).for_each(|(all, by)| *all += by);
+        }
         check_finite(self.config(), &all)?;
-        Ok(all)
+        let by_start = self.start().map(|given| {
+            let mut by_start = vec![0.0; 2 * given.velocity[0].len()];
+            for i in 0..view.position[0].len() {
+                let motion = i.checked_sub(self.cloud().inside()).map(|k| view.conditions[k].motion);
+                let [x, y, _] = view.place(i);
+                for (k, weight) in given.grid.weights([x, y]) {
+                    for e in 0..2 {
+                        match motion {
+                            Some(Motion::Given(_)) => {}
+                            Some(Motion::Symmetry(d)) if d == e => {}
+                            _ => by_start[2 * k + e] += weight * found.start[e][i],
+                        }
+                    }
+                }
+            }
+            by_start
+        });
+        Ok(Derivative { by_variables: all, by_start })
     }
 }
 
+/// A field at the start by place.
+type Field<'a> = Box<dyn Fn([f64; 3]) -> f64 + 'a>;
+
 /// What a flow begins with.
-pub struct Begun<S, const F: usize> {
+pub struct Begun<'a, S, const F: usize> {
     shaped: Arc<S>,
     first: State<F>,
     flow_rate: Option<f64>,
-    /// The formulas of fields at the start that depend on the place.
-    start: Vec<(usize, Function)>,
+    /// The fields at the start by their number.
+    start: Vec<(usize, Field<'a>)>,
 }
 
 /// The boundary of one shape in time.
 struct Boundary<'a, K, const D: usize> {
     cloud: &'a K,
     view: View<'a, D>,
-    start: Vec<(usize, Function)>,
+    start: Vec<(usize, Field<'a>)>,
     /// Numbers by which derivatives are wanted: shape and number.
     wanted: &'a [(usize, usize)],
 }
@@ -275,15 +328,15 @@ impl<K: Conditions<D>, const D: usize, const F: usize, const C: usize> InTime<D,
                 to.temperature += fields[D + 1][inside + k];
             }
         }
-        // Formulas of the start know where particles are.
+        // What the start is by place knows where particles are.
         let step = 1e-5 * self.cloud.dx();
-        for (f, function) in &self.start {
+        for (f, field) in &self.start {
             for i in 0..inside {
                 for d in 0..D {
                     let at = |sign: f64| {
                         let mut place = self.view.place(i);
                         place[d] += sign * step;
-                        function.at(place)
+                        field(place)
                     };
                     position[d][i] += fields[*f][i] * (at(1.0) - at(-1.0)) / (2.0 * step);
                 }
@@ -292,30 +345,26 @@ impl<K: Conditions<D>, const D: usize, const F: usize, const C: usize> InTime<D,
     }
 }
 
-/// The state that a scene begins with, by the formulas of its fields.
+/// The state that a scene begins with, by its fields and what walls are.
 fn first_state<const D: usize, const F: usize>(
-    config: &Config,
     view: View<'_, D>,
     inside: usize,
-    (velocity, temperature): (&[Function], Option<&Function>),
+    start: &[(usize, Field<'_>)],
 ) -> State<F> {
     let n = view.position[0].len();
     let mut state = State::at_rest(n);
     for i in 0..n {
         let place = view.place(i);
-        let of_wall = i.checked_sub(inside).map(|k| view.conditions[k]);
-        for e in 0..D {
-            state.fields[e][i] = match of_wall.map(|condition| condition.motion) {
-                Some(Motion::Given(given)) => given[e],
-                Some(Motion::Symmetry(d)) if d == e => 0.0,
-                _ => velocity.get(e).map_or(0.0, |function| function.at(place)),
-            };
+        start.iter().for_each(|(f, field)| state.fields[*f][i] = field(place));
+        let Some(condition) = i.checked_sub(inside).map(|k| view.conditions[k]) else { continue };
+        match condition.motion {
+            Motion::Given(given) => (0..D).for_each(|e| state.fields[e][i] = given[e]),
+            Motion::Symmetry(d) => state.fields[d][i] = 0.0,
+            Motion::Outflow(_) => {}
         }
-        state.fields[D + 1][i] = match (of_wall.map(|condition| condition.warmth), temperature) {
-            (Some(Warmth::Given(given)), _) => given,
-            (_, Some(function)) => function.at(place) - config.fluid.inlet_temperature,
-            _ => 0.0,
-        };
+        if let Warmth::Given(given) = condition.warmth {
+            state.fields[D + 1][i] = given;
+        }
     }
     state
 }

@@ -2,10 +2,12 @@
 
 use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
+use super::start_field;
 use crate::config::custom::{Part, ShapeEntry, ShapeNumber, Side, SideKind};
 use crate::config::formula::Function;
 use crate::config::scene::{Config, DriveName, LimitEntry, ObjectiveKind, Term};
 use crate::error::{BadInput, Error};
+use crate::numerics::grid_field::GridVelocity;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::conditions::Conditions as _;
@@ -32,6 +34,8 @@ pub struct AroundShapes {
     pub(super) probes: Vec<[f64; 2]>,
     /// Shape and number in its outline of each of `variables`.
     pub wanted: Vec<(usize, usize)>,
+    /// The velocity at the start of a flow in time, where a grid gives it instead of formulas.
+    pub start: Option<GridVelocity>,
 }
 
 /// Conditions on walls, by formulas.
@@ -244,7 +248,7 @@ impl AroundShapes {
                 )
                 .into());
         }
-        Ok(Self { flow, config: config.clone(), probes, wanted })
+        Ok(Self { flow, config: config.clone(), probes, wanted, start: start_field::of_config(config)? })
     }
 
     pub fn config(&self) -> &Config {

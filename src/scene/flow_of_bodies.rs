@@ -4,7 +4,7 @@ use super::around_bodies::AroundBodies;
 use super::around_flow::Around;
 use super::around_in_time::{Marching, View};
 use super::around_shapes::{check_finite, no_solution, Judged};
-use super::history::{History, Of, Watch};
+use super::history::{Derivative, History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use crate::config::custom::Part;
 use crate::config::scene::{Config, ObjectiveKind};
@@ -63,7 +63,7 @@ impl Around for AroundBodies {
         self.go(variables, sizes, watch)
     }
 
-    fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error> {
+    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
         self.go_back(variables, history, of, MEMORY)
     }
 

@@ -3,11 +3,12 @@
 use super::around_flow::Around;
 use super::around_in_time::{Marching, View};
 use super::around_shapes::{check_finite, no_solution, AroundShapes, Judged};
-use super::history::{History, Of, Watch};
+use super::history::{Derivative, History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use crate::config::custom::Part;
 use crate::config::scene::{Config, ObjectiveKind};
 use crate::error::Error;
+use crate::numerics::grid_field::GridVelocity;
 use crate::numerics::threads;
 use crate::sph::cloud::equations::{Bar, State};
 use crate::sph::cloud::figures::{Figure, Rate};
@@ -65,8 +66,12 @@ impl Around for AroundShapes {
         self.go(variables, sizes, watch)
     }
 
-    fn march_gradient(&self, variables: &[f64], history: &History, of: Of) -> Result<Vec<f64>, Error> {
+    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
         self.go_back(variables, history, of, MEMORY)
+    }
+
+    fn velocity_on_grid(&self, solution: &Solution) -> Option<Vec<f64>> {
+        self.grid_velocity(solution)
     }
 
     fn measured(&self, solution: &Solution, figure: Figure) -> f64 {
@@ -130,6 +135,15 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
 
     fn shapes_of_history(&self) -> Vec<usize> {
         self.flow.cloud.places.touching.clone()
+    }
+
+    fn start(&self) -> Option<&GridVelocity> {
+        self.start.as_ref()
+    }
+
+    fn grid_back(&self, shaped: &Arc<Shaped>, state: &State, by: &[f64], bar: &mut Bar) {
+        let derivatives = self.flow.solver.equations.derivatives(&shaped.operators, state, true);
+        self.grid_velocity_back(&Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives }, by, bar);
     }
 
     fn shaped(&self, variables: &[f64]) -> Result<Shaped, Error> {

@@ -84,9 +84,19 @@ impl History {
     }
 }
 
-/// Which mean over a window: that of the objective, or of what a limit is about, by its index.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Of {
+/// What of a flow in time is differentiated: the mean over a window of the objective, or of what a limit is about, by its index; or the
+/// sum of the velocities on `output.grid` at the end, times these weights, `[points, D]`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Of<'a> {
     Objective,
     Limit(usize),
+    Grid(&'a [f64]),
+}
+
+/// The derivative by all that a flow in time is a function of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Derivative {
+    pub by_variables: Vec<f64>,
+    /// By the velocity that a grid gave at the start, `[points, D]`.
+    pub by_start: Option<Vec<f64>>,
 }

@@ -57,8 +57,10 @@ impl PeriodicBox {
         let mut all = Self { flow, fields: vec![], config: config.clone() };
         let (velocity, temperature) = config.initial.at_start(d)?;
         all.fields = match &config.initial.file {
-            Some(file) => read_velocity(Path::new(file), &shape)
-                .map_err(|error| BadInput::at("initial.file", error.to_string()))?,
+            Some(file) => {
+                let read = read_velocity(Path::new(file), d, Some(&shape));
+                read.map_err(|error| BadInput::at("initial.file", error.to_string()))?.1
+            }
             None if velocity.is_empty() => vec![vec![0.0; all.particles()]; d],
             None => velocity.iter().map(|function| all.at_places(|place| function.at(place))).collect(),
         };

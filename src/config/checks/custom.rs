@@ -108,11 +108,11 @@ impl Config {
 
     /// Checks what is read and written on grids.
     fn check_files_and_grid(&self) -> Result<(), BadInput> {
-        const NEEDS: &str = "with method.name = fixed, method.flow = unsteady, and a box that is periodic along all axes, without shapes";
+        const NEEDS: &str = "with method.name = fixed and method.flow = unsteady; in three dimensions in a box that is periodic along all axes, without shapes";
         let bad = |key: &str, problem: &str| BadInput::at(key, format!("{key} {problem}"));
         if self.initial.file.is_some() {
-            if !self.is_periodic_box() {
-                return Err(bad("initial.file", "in a scene without a lattice that stays").allowed(NEEDS));
+            if self.unsteady().is_none() || self.is_around_bodies() {
+                return Err(bad("initial.file", "in a scene whose flow does not begin with it").allowed(NEEDS));
             }
             if !self.initial.velocity.is_empty() {
                 return Err(bad("initial.file", "beside initial.velocity").allowed("one of both"));
@@ -121,11 +121,6 @@ impl Config {
         let grid = &self.output.grid;
         if grid.is_empty() {
             return Ok(());
-        }
-        if !self.is_around_shapes() {
-            return Err(bad("output.grid", "of particles that move")
-                .allowed("with method.name = fixed")
-                .advice("method.name=fixed"));
         }
         let d = self.region.size.len();
         if grid.len() != d || grid.iter().any(|n| !(1..=4096).contains(n)) || grid.iter().product::<usize>() > 1 << 28 {

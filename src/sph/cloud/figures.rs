@@ -201,7 +201,8 @@ impl Measures {
         sample.value(&at.shaped.position, &at.state.fields[field], &at.d.0[field])
     }
 
-    fn sampled_back(sample: &Sample, at: &At<'_>, field: usize, weight: f64, bar: &mut Bar) {
+    /// Adds the cotangents of a field at a sample, given its own.
+    pub fn sampled_back(sample: &Sample, at: &At<'_>, field: usize, weight: f64, bar: &mut Bar) {
         let (i, q) = (sample.particle, sample.monomials(&at.shaped.position));
         let slope = sample.slope(&at.shaped.position, &at.d.0[field]);
         bar.fields[field][i] += weight;

@@ -146,13 +146,26 @@ impl SteadyFlow {
         terms: &[(Figure, f64)],
         wanted: &[(usize, usize)],
     ) -> Result<Vec<f64>, NoSolution> {
-        let Solution { shaped, state, derivatives } = solution;
-        self.solver.equations.conditions = shaped.conditions.clone();
-        let n = self.cloud.particles();
-        let mut bar = Bar::new(n, shaped.area.len());
+        let mut bar = Bar::new(self.cloud.particles(), solution.shaped.area.len());
         for &(figure, weight) in terms {
             self.measures.pull_back(figure, &self.at(solution), weight, &mut bar);
         }
+        self.pull_back(solution, bar, wanted)
+    }
+
+    /// The derivative by numbers (shape, number) of what has these cotangents.
+    ///
+    /// # Errors
+    /// As [`Self::gradient`].
+    pub fn pull_back(
+        &mut self,
+        solution: &Solution,
+        mut bar: Bar,
+        wanted: &[(usize, usize)],
+    ) -> Result<Vec<f64>, NoSolution> {
+        let Solution { shaped, state, derivatives } = solution;
+        self.solver.equations.conditions = shaped.conditions.clone();
+        let n = self.cloud.particles();
         let fields = self.solver.equations.by_fields(&shaped.operators, &bar);
         let rate = Rate { measures: &self.measures, shaped };
         let held = self.held.as_ref().map(|held| (held, &rate as _));

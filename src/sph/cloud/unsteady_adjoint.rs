@@ -51,6 +51,8 @@ pub struct Cotangents<const D: usize, const F: usize, const C: usize> {
     pub bar: Bar<D, F, C>,
     pub position: [Vec<f64>; D],
     pub parameters: Vec<f64>,
+    /// Of the first state's fields, `[F][N]`.
+    pub start: [Vec<f64>; F],
 }
 
 /// Cotangents of a state's fields and of its advection, `[carried][inside]`.
@@ -121,6 +123,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             bar: Bar::new(n, count),
             position: std::array::from_fn(|_| vec![0.0; n]),
             parameters: vec![0.0; parameters],
+            start: std::array::from_fn(|_| vec![]),
         };
         let (mut sums, mut bar) = (march.sums(), Bar::new(n, count));
         // Of the state that is looked at, and of the one before it.
@@ -175,13 +178,14 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         bar.clear();
         let total = Self::of_state(march, self.first, &now, &mut bar);
         self.boundary.of_start(&total, &mut bar, &mut found.position);
+        found.start = total;
         march.add_to(&mut sums, self.position, self.first, &bar);
         self.gather(0.0, &bar, &mut found);
         for (to, from) in found.position.iter_mut().zip(march.by_sums(self.position, sums)) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
         }
         if !self.boundary.changes() {
-            let Cotangents { bar, position, parameters } = &mut found;
+            let Cotangents { bar, position, parameters, .. } = &mut found;
             self.boundary.pull_back(0.0, bar, position, parameters);
         }
         Ok(found)

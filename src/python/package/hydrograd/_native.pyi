@@ -81,9 +81,14 @@ class Scene:
         self, design: Optional[_Array], frames: int, progress: Optional[Callable[..., object]]
     ) -> dict[str, Any]: ...
     def objective(self, design: _Array) -> float: ...
-    def steady(self, numbers: Optional[_Array], gradient: bool) -> dict[str, Any]: ...
+    def steady(self, numbers: Optional[_Array], gradient: bool, by_grid: Optional[_Array]) -> dict[str, Any]: ...
     def unsteady(
-        self, numbers: Optional[_Array], gradient: bool, progress: Optional[Callable[..., object]]
+        self,
+        numbers: Optional[_Array],
+        gradient: bool,
+        by_grid: Optional[_Array],
+        velocity: Optional[_Array],
+        progress: Optional[Callable[..., object]],
     ) -> dict[str, Any]: ...
     def value_and_gradient(
         self, design: _Array, progress: Optional[Callable[..., object]]

@@ -133,6 +133,7 @@ class Steady:
         pressure: ``[N]``.
         temperature: ``[N]``; None without heat.
         tag: ``[N]``, 0 for fluid, others for walls.
+        grid_velocity: on the scene's ``output.grid``, ``[N, N, 2]``, NaN inside of shapes; None without a grid.
     """
 
     objective: float
@@ -145,6 +146,7 @@ class Steady:
     pressure: Array
     temperature: Optional[Array]
     tag: npt.NDArray[np.uint8]
+    grid_velocity: Optional[Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +157,11 @@ class Unsteady(Steady):
 
     Attributes:
         history: ``time``, and figures after each step, such as ``shapes[0].drag``.
+        velocity_gradient: the derivative by the velocity at the start, of its shape; None if that was not given as an array.
     """
 
     history: dict[str, Array] = field(repr=False)
+    velocity_gradient: Optional[Array] = None
 
 
 class Scene:
@@ -333,22 +337,32 @@ class Scene:
             raise (ValueError if found["exit_code"] == 2 else RuntimeError)(found["error"])
         return dict(found["result"])
 
-    def steady(self, numbers: Optional[ArrayLike] = None, *, gradient: bool = True) -> Steady:
+    def steady(
+        self, numbers: Optional[ArrayLike] = None, *, gradient: bool = True, by_grid_velocity: Optional[ArrayLike] = None
+    ) -> Steady:
         """The steady flow of a scene of one's own with ``method.name = "fixed"``, with its exact gradient.
 
         Args:
             numbers: ``[K]``, in the order and the units of the scene's ``variables``; the scene's own if None.
             gradient: whether to take the objective's derivative by all of them: one more, transposed solve.
+            by_grid_velocity: weights of :attr:`Steady.grid_velocity`, of its shape: the gradient is that of their sum instead of the
+                objective's.
 
         Raises:
             ValueError: particles that move, or shapes that cannot be resolved.
             Diverged: no steady flow, or particles that fold.
         """
-        found = self._native.steady(None if numbers is None else _numbers(numbers), bool(gradient))
+        found = self._native.steady(_or_none(_numbers, numbers), bool(gradient), _or_none(_field, by_grid_velocity))
         return Steady(**{**found, "figures": json.loads(found["figures"])})
 
     def unsteady(
-        self, numbers: Optional[ArrayLike] = None, *, gradient: bool = True, progress: Optional[Progress] = None
+        self,
+        numbers: Optional[ArrayLike] = None,
+        *,
+        gradient: bool = True,
+        by_grid_velocity: Optional[ArrayLike] = None,
+        velocity: Optional[ArrayLike] = None,
+        progress: Optional[Progress] = None,
     ) -> Unsteady:
         """The flow in time of a scene of one's own with ``method.name = "fixed"`` and ``method.flow = "unsteady"``, with the exact gradient
         of the objective's mean along the steps that were taken.
@@ -356,13 +370,17 @@ class Scene:
         Args:
             numbers: ``[K]``, in the order and the units of the scene's ``variables``; the scene's own if None.
             gradient: whether to take the objective's derivative by all of them: about three more runs.
+            by_grid_velocity: as of :meth:`steady`, at the end.
+            velocity: what the flow begins with instead of ``initial``, ``[N, N, 2]`` of any N, entry i, j at i L / N, j L / N.
             progress: called with the share of the run that is done, and 1, at most ten times a second.
 
         Raises:
             ValueError: particles that move, a steady flow, or shapes that cannot be resolved.
             Diverged: a flow that is not finite, or particles that fold.
         """
-        found = self._native.unsteady(None if numbers is None else _numbers(numbers), bool(gradient), progress)
+        found = self._native.unsteady(
+            _or_none(_numbers, numbers), bool(gradient), _or_none(_field, by_grid_velocity), _or_none(_field, velocity), progress
+        )
         return Unsteady(**{**found, "figures": json.loads(found["figures"])})
 
     def objective(self, design: Optional[ArrayLike] = None) -> float:
@@ -467,6 +485,14 @@ def _flat(scene: Mapping[str, Any]) -> dict[str, Any]:
         else:
             found[key] = value
     return found
+
+
+def _or_none(convert: Callable[[ArrayLike], Array], given: Optional[ArrayLike]) -> Optional[Array]:
+    return None if given is None else convert(given)
+
+
+def _field(given: ArrayLike) -> Array:
+    return np.asarray(given, dtype=np.float64)
 
 
 def _numbers(design: ArrayLike) -> Array:

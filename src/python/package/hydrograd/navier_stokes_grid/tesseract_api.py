@@ -3,8 +3,7 @@
 In a periodic box: fixed particles on the grid's own points, exact derivatives of all modes, steps in time chosen by their error; see
 :func:`hydrograd.periodic_flow`. Nothing is compiled: every N, viscosity and number of steps runs at once.
 
-Around a body, see ``body.py``: a cylinder between walls behind an ``inflow_profile``, its **steady** flow where a run is long enough, and
-else the flow in time.
+Around a body, see ``body.py``: behind an ``inflow_profile`` its **steady** flow where a run is long enough, and else the flow in time.
 
     Tesseract.from_tesseract_api(hydrograd.navier_stokes_grid.tesseract_api.__file__)      # without docker
 """
@@ -74,8 +73,8 @@ class InputSchema(BaseModel):
     )
     steps: int = Field(default=300, ge=0, description="Number of intervals.")
     domain_extent: float = Field(default=2 * math.pi, gt=0, description="Length of the box along x.")
-    boundary_conditions: Faces = Field(default_factory=Faces, description="Sides: periodic, or with a body no_slip along y.")
-    obstacle: Optional[Obstacle] = Field(default=None, description="A cylinder, with an inflow_profile.")
+    boundary_conditions: Faces = Field(default_factory=Faces, description="Sides: periodic; with a body also no_slip along y.")
+    obstacle: Optional[Obstacle] = Field(default=None, description="A cylinder with a radius or a box with half_widths, in two dimensions.")
     inflow_profile: Optional[Differentiable[Array[(None,), Float32]]] = Field(
         default=None, description="With a body: the velocity along x at x = 0, [N]; entry j at j L / N."
     )
@@ -112,8 +111,8 @@ def _flow(inputs: InputSchema) -> hydrograd.Flow:
 def apply(inputs: InputSchema) -> OutputSchema:
     """The velocity after ``steps * dt``, and the drag of a body."""
     if inputs.obstacle is not None:
-        steady, velocity = body.flow(inputs)
-        return OutputSchema(result=velocity(), drag=np.array([steady.objective], np.float32))
+        velocity, drag = body.apply(inputs)
+        return OutputSchema(result=velocity, drag=np.array([drag], np.float32))
     flow = _flow(inputs)
     return OutputSchema(result=flow.velocity.reshape(np.shape(inputs.v0)).astype(np.float32))
 
@@ -121,8 +120,8 @@ def apply(inputs: InputSchema) -> OutputSchema:
 def vector_jacobian_product(
     inputs: InputSchema, vjp_inputs: set[str], vjp_outputs: set[str], cotangent_vector: dict[str, Any]
 ) -> dict[str, Any]:
-    """The cotangents of v0, viscosity and dt from that of the result: exact, for the steps in time that were taken. With a body that of
-    the inflow_profile from that of the drag."""
+    """The cotangents of v0, viscosity and dt from that of the result: exact, for the steps in time that were taken. With a body those of
+    v0 and inflow_profile from those of result and drag."""
     if inputs.obstacle is not None:
         return body.cotangents(inputs, vjp_inputs, {name: cotangent_vector.get(name) for name in vjp_outputs})
     flow = _flow(inputs)
