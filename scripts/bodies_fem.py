@@ -6,7 +6,7 @@
 
 Taylor-Hood elements (P2, P1) and P2 for heat on a mesh of gmsh around discs, ellipses and splines, Newton's method; forces and heat from
 the residual at the nodes of each body, which is an exact balance. Either x is periodic and y has walls at rest, whose temperature
-is that of the boxes behind them, or region.sides has an inflow at the left, an outflow at the right, and symmetry. A drive
+is that of the boxes behind them, or region.sides has an inflow at the left (numbers or formulas of y), an outflow at the right, and symmetry. A drive
 (fluid.drive) is replaced by the body force that hydrograd found. Needs numpy, scipy, scikit-fem and gmsh.
 """
 import argparse
@@ -78,6 +78,11 @@ def mesh(size, bodies, far, periodic):
     return skfem.MeshTri(places[used].T.copy(), inverse.reshape(-1, 3).T.copy())
 
 
+def formula(text, x, y):
+    """A number or a formula of the scene, by place; ^ is the power."""
+    return eval(str(text).replace("^", "**"), {"__builtins__": {}}, {"x": x, "y": y, "PI": np.pi, "sin": np.sin, "cos": np.cos, "exp": np.exp})
+
+
 def flow(scene, force, points, far):
     """Flow rate and, of each body, force, torque and heat."""
     region, fluid = scene["region"], scene.get("fluid", {})
@@ -86,7 +91,7 @@ def flow(scene, force, points, far):
     capacity = fluid.get("heat_capacity", 1.0)
     alpha = fluid.get("conductivity", 7.313) / (density * capacity)
     sides = region.get("sides", {})
-    periodic = bool(region["periodic"][0])
+    periodic = bool(region.get("periodic", [False])[0])
     has_heat = "temperature" in scene.get("initial", {})
     bodies = [shape for shape in scene["shapes"] if shape["kind"] != "box"]
     walls = [shape for shape in scene["shapes"] if shape["kind"] == "box"]
@@ -122,8 +127,9 @@ def flow(scene, force, points, far):
         fixed += list(edge[component[edge] == 1] if sides.get(name, {}).get("kind") == "symmetry" else edge)
     if not periodic:
         inflow = dofs(bv, left)
-        speeds = [float(v) for v in sides["left"]["velocity"]]
-        given[inflow] = np.array(speeds)[component[inflow]]
+        x, y = bv.doflocs[:, inflow]
+        speeds = [formula(v, x, y) for v in sides["left"]["velocity"]]
+        given[inflow] = np.where(component[inflow] == 0, *speeds)
         fixed += list(inflow)
     fixed = np.unique(fixed)
     pin = [nv] if periodic else []
@@ -142,20 +148,22 @@ def flow(scene, force, points, far):
     newton = BilinearForm(lambda u, v, w: dot(mul(grad(u), w["w"]) + mul(grad(w["w"]), u), v))
     x = np.concatenate([given, np.zeros(bp.N)])
 
-    def residual(x):
+    def residual(x, more=1.0):
         u, p = x[:nv], x[nv:]
-        momentum = viscous @ u + divergence.T @ p - push + asm(carried, bv, w=bv.interpolate(u)) @ u
+        momentum = more * (viscous @ u) + divergence.T @ p - push + asm(carried, bv, w=bv.interpolate(u)) @ u
         return np.concatenate([momentum, divergence @ u])
 
-    for _ in range(25):
-        r = P.T @ residual(x)
-        if abs(r).max() < 1e-12:
-            break
-        J = sparse.bmat([[viscous + asm(newton, bv, w=bv.interpolate(x[:nv])), divergence.T], [divergence, None]]).tocsr()
-        dx = P @ solvers.spsolve((P.T @ J @ P).tocsc(), -r)
-        x = x + dx
-        if abs(dx[:nv]).max() < 1e-11:
-            break
+    # With a viscosity that becomes smaller, so that Newton's method converges.
+    for more in (8.0, 3.0, 1.5, 1.0):
+        for _ in range(25):
+            r = P.T @ residual(x, more)
+            if abs(r).max() < 1e-12:
+                break
+            J = sparse.bmat([[more * viscous + asm(newton, bv, w=bv.interpolate(x[:nv])), divergence.T], [divergence, None]]).tocsr()
+            dx = P @ solvers.spsolve((P.T @ J @ P).tocsc(), -r)
+            x = x + dx
+            if abs(dx[:nv]).max() < 1e-11:
+                break
     R = residual(x)
     found = {"flow_rate": asm(LinearForm(lambda v, w: w["w"][0] * v), bt, w=bv.interpolate(x[:nv])).sum() / size[0], "shapes": []}
     RT = None

@@ -80,6 +80,9 @@ pub fn write_grid<R: Sweeps>(
     Ok(true)
 }
 
+/// The coefficients of stencils at positions `[D][N]`.
+type Fitting<const D: usize, const C: usize> = fn(&Stencils<D>, &[Vec<f64>; D]) -> Coefficients<C>;
+
 /// Fields `[N]` of the particles that know them at the points of the grid, by fits of a number of neighbours.
 fn interpolated<const D: usize, const Q: usize, const C: usize>(
     config: &Config,
@@ -87,7 +90,7 @@ fn interpolated<const D: usize, const Q: usize, const C: usize>(
     position: &[f64],
     known: &[usize],
     fields: &[&[f64]],
-    (neighbours, coefficients): (usize, fn(&Stencils<D>, &[Vec<f64>; D]) -> Coefficients<C>),
+    (neighbours, coefficients): (usize, Fitting<D, C>),
 ) -> Vec<Vec<f64>> {
     let (grid, dx, n) = (&config.output.grid, config.resolution.dx, position.len() / D);
     let (size, periodic) = (&config.region.size, &config.region.periodic);
