@@ -67,7 +67,7 @@ for solver in "${only[@]}"; do
     case "$solver" in
         hydrograd)
             api=$("$environment/bin/python" -c "import hydrograd, os; print(os.path.dirname(hydrograd.__file__))")
-            api="$api/navier_stokes_grid/tesseract_api.py" tasks="$two,horizon,drag,$three" ;;
+            api="$api/navier_stokes_grid/tesseract_api.py" tasks="$two,horizon,cylinder,drag,$three" ;;
         warp-ns) tasks="$two,$three" ;;
         exponax) tasks="$three" ;;
         phiflow) tasks="baseline,tgv,multimode,laws,fd,cost,b3,a3" ;;
