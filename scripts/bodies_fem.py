@@ -6,8 +6,8 @@
 
 Taylor-Hood elements (P2, P1) and P2 for heat on a mesh of gmsh around discs, ellipses and splines, Newton's method; forces and heat from
 the residual at the nodes of each body, which is an exact balance. Either x is periodic and y has walls at rest, whose temperature
-is that of the boxes behind them, or region.sides has an inflow at the left (numbers or formulas of y), an outflow at the right, and symmetry. A drive
-(fluid.drive) is replaced by the body force that hydrograd found. Needs numpy, scipy, scikit-fem and gmsh.
+is that of the boxes behind them, or region.sides has an inflow at the left (numbers or formulas of y), an outflow at the right, and
+symmetry. A drive (fluid.drive) is replaced by the body force that hydrograd found. Needs numpy, scipy, scikit-fem and gmsh.
 """
 import argparse
 import json

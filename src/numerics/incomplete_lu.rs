@@ -20,7 +20,7 @@ pub struct IncompleteLu<const S: usize> {
 }
 
 /// Block rows from one end of the graph to the other: each one's neighbours follow it, those with few neighbours first.
-fn from_end_to_end(matrix: &BlockMatrix) -> Vec<u32> {
+pub(super) fn from_end_to_end(matrix: &BlockMatrix) -> Vec<u32> {
     let nodes = matrix.nodes();
     let degree = |i: u32| matrix.row(i as usize).len();
     let walk = |start: u32, seen: &mut [bool]| {

@@ -11,7 +11,7 @@
 //! with P 1 for the nodes of a group and 0 elsewhere, L the incomplete factors, and C factorised exactly. A group that moves as one block
 //! resists more than a smooth error does, so c is larger than 1 (Braess 1995).
 
-use super::incomplete_lu::IncompleteLu;
+use super::incomplete_lu::{from_end_to_end, IncompleteLu};
 use super::sparse_lu::{BlockMatrix, Order, Singular, SparseLu};
 use std::sync::Arc;
 
@@ -127,31 +127,6 @@ fn gathered(matrix: &BlockMatrix, group: &[u32], count: usize) -> BlockMatrix {
     coarse
 }
 
-/// The distance of each node from an end of the graph, in steps: a place along which groups can be divided.
-fn steps(matrix: &BlockMatrix) -> Vec<f64> {
-    let nodes = matrix.nodes();
-    let walk = |start: usize| {
-        let (mut step, mut queue) = (vec![f64::INFINITY; nodes], vec![start]);
-        step[start] = 0.0;
-        let mut done = 0;
-        while done < queue.len() {
-            let i = queue[done];
-            for &j in matrix.row(i) {
-                if step[j as usize].is_infinite() {
-                    step[j as usize] = step[i] + 1.0;
-                    queue.push(j as usize);
-                }
-            }
-            done += 1;
-        }
-        (step, queue[queue.len() - 1])
-    };
-    let (_, end) = walk(0);
-    let (mut step, _) = walk(end);
-    step.iter_mut().filter(|step| step.is_infinite()).for_each(|step| *step = 0.0);
-    step
-}
-
 impl TwoLevel {
     /// # Errors
     /// A node without a diagonal entry.
@@ -164,8 +139,10 @@ impl TwoLevel {
         let mut coarse = None;
         if count > 0 {
             let gathered = gathered(matrix, &group, count);
-            let step = steps(&gathered);
-            let order = Arc::new(Order::new(&gathered, |i| [step[i]]));
+            // Groups have a place along the graph, by which they can be divided.
+            let mut along = vec![0.0; count];
+            from_end_to_end(&gathered).iter().enumerate().for_each(|(k, &i)| along[i as usize] = k as f64);
+            let order = Arc::new(Order::new(&gathered, |i| [along[i]]));
             // Where C has no inverse the incomplete factors are alone.
             coarse = SparseLu::new(&order, &gathered, threads).ok();
         }

@@ -4,6 +4,7 @@
 use super::around_flow::Around;
 use super::around_shapes::{check_finite, no_flow, tolerance};
 use super::history::{Derivative, History, Moment, Of, Watch};
+use crate::config::formula::Function;
 use crate::config::scene::ObjectiveKind;
 use crate::error::Error;
 use crate::numerics::grid_field::GridVelocity;
@@ -109,24 +110,18 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     fn begin(&self, variables: &[f64]) -> Result<Begun<'_, Self::Shaped, F>, Error> {
         let shaped = self.shaped(variables)?;
         let (velocity, temperature) = self.config().initial.at_start(D)?;
-        let mut start: Vec<(usize, Field<'_>)> = vec![];
-        match self.start() {
-            Some(given) => start.extend(given.velocity.iter().enumerate().map(|(e, field)| -> (usize, Field<'_>) {
-                (e, Box::new(|[x, y, _]| given.grid.value(field, [x, y])))
-            })),
-            None => start.extend(
-                velocity
-                    .into_iter()
-                    .enumerate()
-                    .map(|(e, function)| -> (usize, Field<'_>) { (e, Box::new(move |place| function.at(place))) }),
-            ),
-        }
         let reference = self.config().fluid.inlet_temperature;
-        start.extend(
-            temperature.map(|function| -> (usize, Field<'_>) {
-                (D + 1, Box::new(move |place| function.at(place) - reference))
-            }),
-        );
+        let by_formula = |field: usize, function: Function, reference: f64| {
+            let varies = !function.is_constant();
+            Start { field, varies, at: Box::new(move |place| function.at(place) - reference) }
+        };
+        let mut start: Vec<Start<'_>> = match self.start() {
+            Some(GridVelocity { grid, velocity }) => (velocity.iter().enumerate())
+                .map(|(e, field)| Start { field: e, varies: true, at: Box::new(|[x, y, _]| grid.value(field, [x, y])) })
+                .collect(),
+            None => velocity.into_iter().enumerate().map(|(e, function)| by_formula(e, function, 0.0)).collect(),
+        };
+        start.extend(temperature.map(|function| by_formula(D + 1, function, reference)));
         let first = first_state(Self::view(&shaped), self.cloud().inside(), &start);
         let flow_rate = self.held().map(|held| match held {
             Held::FlowRate(rate) => *rate,
@@ -274,23 +269,28 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     }
 }
 
-/// A field at the start by place.
-type Field<'a> = Box<dyn Fn([f64; 3]) -> f64 + 'a>;
+/// A field at the start.
+struct Start<'a> {
+    /// Its number.
+    field: usize,
+    /// Whether it depends on the place.
+    varies: bool,
+    at: Box<dyn Fn([f64; 3]) -> f64 + 'a>,
+}
 
 /// What a flow begins with.
 pub struct Begun<'a, S, const F: usize> {
     shaped: Arc<S>,
     first: State<F>,
     flow_rate: Option<f64>,
-    /// The fields at the start by their number.
-    start: Vec<(usize, Field<'a>)>,
+    start: Vec<Start<'a>>,
 }
 
 /// The boundary of one shape in time.
 struct Boundary<'a, K, const D: usize> {
     cloud: &'a K,
     view: View<'a, D>,
-    start: Vec<(usize, Field<'a>)>,
+    start: Vec<Start<'a>>,
     /// Numbers by which derivatives are wanted: shape and number.
     wanted: &'a [(usize, usize)],
 }
@@ -330,15 +330,15 @@ impl<K: Conditions<D>, const D: usize, const F: usize, const C: usize> InTime<D,
         }
         // What the start is by place knows where particles are.
         let step = 1e-5 * self.cloud.dx();
-        for (f, field) in &self.start {
+        for Start { field, at: value, .. } in self.start.iter().filter(|start| start.varies) {
             for i in 0..inside {
                 for d in 0..D {
                     let at = |sign: f64| {
                         let mut place = self.view.place(i);
                         place[d] += sign * step;
-                        field(place)
+                        value(place)
                     };
-                    position[d][i] += fields[*f][i] * (at(1.0) - at(-1.0)) / (2.0 * step);
+                    position[d][i] += fields[*field][i] * (at(1.0) - at(-1.0)) / (2.0 * step);
                 }
             }
         }
@@ -346,16 +346,12 @@ impl<K: Conditions<D>, const D: usize, const F: usize, const C: usize> InTime<D,
 }
 
 /// The state that a scene begins with, by its fields and what walls are.
-fn first_state<const D: usize, const F: usize>(
-    view: View<'_, D>,
-    inside: usize,
-    start: &[(usize, Field<'_>)],
-) -> State<F> {
+fn first_state<const D: usize, const F: usize>(view: View<'_, D>, inside: usize, start: &[Start<'_>]) -> State<F> {
     let n = view.position[0].len();
     let mut state = State::at_rest(n);
     for i in 0..n {
         let place = view.place(i);
-        start.iter().for_each(|(f, field)| state.fields[*f][i] = field(place));
+        start.iter().for_each(|start| state.fields[start.field][i] = (start.at)(place));
         let Some(condition) = i.checked_sub(inside).map(|k| view.conditions[k]) else { continue };
         match condition.motion {
             Motion::Given(given) => (0..D).for_each(|e| state.fields[e][i] = given[e]),

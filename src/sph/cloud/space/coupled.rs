@@ -15,6 +15,9 @@ use super::equations::{Derivatives, Equations, FLOW, PRESSURE, TEMPERATURE};
 use super::linear::{solve_scaled, System};
 use super::scalar::Scalar;
 
+/// Relative residual of the heat in the preconditioner.
+const HEAT: f64 = 0.05;
+
 /// The coupled system at a state, or its transpose.
 pub struct Coupled<'a> {
     pub flow: &'a System,
@@ -75,9 +78,9 @@ impl<'a> Coupled<'a> {
         if self.transposed {
             z = self.flow.precondition(&z);
             self.push_by(&mut z, &mut t);
-            t = self.heat.nearly(&t);
+            t = self.heat.nearly(&t, HEAT);
         } else {
-            t = self.heat.nearly(&t);
+            t = self.heat.nearly(&t, HEAT);
             self.push_by(&mut z, &mut t);
             z = self.flow.precondition(&z);
         }

@@ -17,27 +17,27 @@
 //! (lap + a0 / dt tau S)^-1 there are as many, and the inner iterations do not converge.
 //!
 //! K^-1 and lap^-1 are GMRES again, with incomplete factors and a correction on groups of particles ([`crate::numerics::two_level`]), to a
-//! third, which one or two products reach; so the outer iteration is a flexible one (Saad 1993). A pair of particles has five numbers: K's, the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are
-//! `[N, 4]`, and behind them the numbers of the whole flow: lambda and a drive, as a border of the matrix.
+//! third, which one or two products reach; so the outer iteration is a flexible one (Saad 1993). A pair of particles has five numbers: K's,
+//! the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are `[N, 4]`, and behind them the
+//! numbers of the whole flow: lambda and a drive, as a border of the matrix.
 
 use super::super::equations::Warmth;
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::super::steady::dense;
 use super::equations::{dot, laplacian, Condition, Derivatives, End, Equations, Motion, State, FLOW, PRESSURE};
+use super::scalar::Scalar;
 use crate::numerics::incomplete_lu::IncompleteLu;
-use crate::numerics::krylov::{gmres, gmres_restarted};
+use crate::numerics::krylov::gmres_restarted;
 use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Order, Singular, SparseLu};
-use crate::numerics::two_level::TwoLevel;
 use std::ops::Range;
 use std::sync::Arc;
 
 /// Products before GMRES begins anew, and at most. (The adjoint of a ball in a duct at a Reynolds number of 53 takes 475, and more than 600 if
 /// GMRES begins anew after 120.)
 const PRODUCTS: (usize, usize) = (300, 1500);
-/// Relative residual of a solution with K or the Laplacian, and products that it may take. (A twentieth saves a tenth of the outer
+/// Relative residual of a solution with K or the Laplacian. (A twentieth saves a tenth of the outer
 /// iterations, each of which takes twice as long.)
 const INNER: f64 = 0.3;
-const INNER_PRODUCTS: usize = 80;
 
 /// Which of a pair's numbers the rows of a particle take.
 #[derive(Debug, Clone, Copy, Default)]
@@ -312,22 +312,15 @@ pub struct System {
     rows: Vec<Vec<f64>>,
     corner: Vec<Vec<f64>>,
     threads: usize,
-    /// K with its factors, of each component of the velocity (by index).
-    carrying: Vec<(BlockMatrix, TwoLevel)>,
+    /// K of each component of the velocity (by index), each on one thread.
+    carrying: Vec<Scalar>,
     which: [usize; 3],
-    /// Factors of the Laplacian.
-    laplace: Option<TwoLevel>,
+    /// The Laplacian, where the flow is not at rest.
+    laplace: Option<Scalar>,
     /// Solutions of the preconditioner with each column.
     solved: Vec<Vec<f64>>,
     /// Factors of all of the matrix, instead of those of its parts.
     whole: Option<Whole>,
-}
-
-/// A solution with one part of the matrix to [`INNER`].
-fn nearly(matrix: &BlockMatrix, factors: &TwoLevel, right: &[f64], threads: usize) -> Vec<f64> {
-    let precondition = |x: &[f64]| factors.solve(matrix, x, threads);
-    gmres(right, INNER, INNER_PRODUCTS, &|x| matrix.times_on(x, threads), &precondition)
-        .unwrap_or_else(|| precondition(right))
 }
 
 /// Factors of all of a matrix.
@@ -362,7 +355,7 @@ impl System {
     /// # Errors
     /// A particle without a diagonal entry, or a matrix without factors.
     pub fn new(
-        linear: Linear,
+        mut linear: Linear,
         [columns, rows, corner]: Border,
         threads: usize,
         order: Option<&Arc<Order>>,
@@ -374,19 +367,17 @@ impl System {
         };
         let parts = if whole.is_some() { 0 } else { 3 };
         let mut which = [0; 3];
-        let mut carrying: Vec<(BlockMatrix, TwoLevel)> = vec![];
+        let mut carrying: Vec<Scalar> = vec![];
         for e in 0..parts {
             if let Some(other) = (0..e).find(|&other| linear.is_alike(e, other)) {
                 which[e] = which[other];
                 continue;
             }
             which[e] = carrying.len();
-            let matrix = linear.carrying(e);
-            let factors = TwoLevel::new(&matrix, threads)?;
-            carrying.push((matrix, factors));
+            carrying.push(Scalar::new(linear.carrying(e), 1)?);
         }
         let has_laplace = whole.is_none() && !linear.laplace.values.is_empty();
-        let laplace = has_laplace.then(|| TwoLevel::new(&linear.laplace, threads)).transpose()?;
+        let laplace = has_laplace.then(|| Scalar::new(std::mem::take(&mut linear.laplace), threads)).transpose()?;
         let solved = vec![];
         let mut system = Self { linear, columns, rows, corner, threads, carrying, which, laplace, solved, whole };
         system.solved = system.columns.iter().map(|column| system.inner(column)).collect();
@@ -395,11 +386,9 @@ impl System {
 
     /// Memory of matrices and factors.
     pub fn bytes(&self) -> usize {
-        let of = |(matrix, factors): &(BlockMatrix, TwoLevel)| 12 * matrix.values.len() + factors.bytes();
         let whole = self.whole.as_ref().map_or(0, Whole::bytes);
-        let laplace =
-            self.laplace.as_ref().map_or(0, |factors| 12 * self.linear.laplace.values.len() + factors.bytes());
-        whole + laplace + 44 * self.linear.pairs.len() + self.carrying.iter().map(of).sum::<usize>()
+        let parts = self.carrying.iter().chain(&self.laplace).map(Scalar::bytes);
+        whole + 44 * self.linear.pairs.len() + parts.sum::<usize>()
     }
 
     /// A x, with its border.
@@ -418,15 +407,16 @@ impl System {
     /// X^-1 of residuals of continuity; where the pressure is given, themselves.
     fn pressure(&self, right: Vec<f64>) -> Vec<f64> {
         let linear = &self.linear;
-        let solved = |right: &[f64], factors: &TwoLevel| nearly(&linear.laplace, factors, right, self.threads);
         let free: Vec<f64> = right.iter().zip(&linear.given).map(|(x, given)| if *given { 0.0 } else { *x }).collect();
         let carried = match (&linear.velocity, &self.laplace) {
-            (Some(velocity), Some(factors)) if linear.transposed => solved(&linear.carried(velocity, &free), factors),
-            (Some(velocity), Some(factors)) => {
+            (Some(velocity), Some(laplace)) if linear.transposed => {
+                laplace.nearly(&linear.carried(velocity, &free), INNER)
+            }
+            (Some(velocity), Some(laplace)) => {
                 // The slope across walls is 0.
                 let inside: Vec<f64> =
                     (0..free.len()).map(|i| if linear.takes[i].pushes > 0.0 { free[i] } else { 0.0 }).collect();
-                linear.carried(velocity, &solved(&inside, factors))
+                linear.carried(velocity, &laplace.nearly(&inside, INNER))
             }
             _ => vec![0.0; free.len()],
         };
@@ -446,8 +436,7 @@ impl System {
         let pushed = linear.pushed(&pressure, self.threads);
         let of = |e: usize| {
             let right: Vec<f64> = (0..n).map(|i| right[FLOW * i + e] - pushed[FLOW * i + e]).collect();
-            let (matrix, factors) = &self.carrying[self.which[e]];
-            nearly(matrix, factors, &right, 1)
+            self.carrying[self.which[e]].nearly(&right, INNER)
         };
         let velocity: [Vec<f64>; 3] = match self.threads {
             0 | 1 => std::array::from_fn(of),

@@ -6,6 +6,8 @@ use crate::numerics::two_level::TwoLevel;
 
 /// Products of a solution with one unknown a particle.
 const PRODUCTS: (usize, usize) = (100, 1000);
+/// Products of one in a preconditioner.
+const NEARLY: usize = 80;
 
 /// A system of one unknown a particle, with its incomplete factors.
 #[derive(Debug)]
@@ -53,10 +55,10 @@ impl Scalar {
         self.matrix.times_on(x, self.threads)
     }
 
-    /// A solution to a twentieth.
-    pub(super) fn nearly(&self, right: &[f64]) -> Vec<f64> {
+    /// A solution to a part of the norm of the right-hand side, of a preconditioner.
+    pub(super) fn nearly(&self, right: &[f64], tolerance: f64) -> Vec<f64> {
         let solve = |x: &[f64]| self.factors.solve(&self.matrix, x, self.threads);
-        gmres(right, 0.05, 80, &|x| self.times(x), &solve).unwrap_or_else(|| solve(right))
+        gmres(right, tolerance, NEARLY, &|x| self.times(x), &solve).unwrap_or_else(|| solve(right))
     }
 
     /// Memory of the matrix and its factors.
