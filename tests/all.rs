@@ -79,4 +79,5 @@ mod train;
 mod training_settings;
 mod validation;
 mod verify;
+mod viscosity;
 mod warnings;

@@ -499,7 +499,7 @@ fn derivatives_of_every_figure_are_differences_of_whole_solutions() {
             moved.push([at(*step), at(-step)]);
         }
         for figure in all(shape) {
-            let exact = around.flow.gradient(&solution, &[(figure, 1.0)], &wanted).unwrap();
+            let exact = around.flow.gradient(&solution, &[(figure, 1.0)], &wanted).unwrap().by_numbers;
             let differences: Vec<f64> = moved
                 .iter()
                 .zip(&steps)
@@ -778,7 +778,7 @@ fn the_heated_cavity_has_its_nusselt_number() {
     let solution = around.flow.solve(&numbers).unwrap();
     let wanted: Vec<(usize, usize)> = (0..3).map(|k| (0, k)).collect();
     for figure in [Figure::Heat { shape: 0 }, Figure::Force { shape: 0, along: 1 }, Figure::Torque { shape: 0 }] {
-        let exact = around.flow.gradient(&solution, &[(figure, 1.0)], &wanted).unwrap();
+        let exact = around.flow.gradient(&solution, &[(figure, 1.0)], &wanted).unwrap().by_numbers;
         let norm = exact.iter().map(|x| x * x).sum::<f64>().sqrt();
         for k in 0..3 {
             let mut at = |by: f64| {
@@ -803,7 +803,7 @@ fn a_floor_may_be_shaped_between_its_ends() {
     let first = around.first();
     let solution = around.solve(&first).unwrap();
     let (value, terms) = around.objective(&solution);
-    let gradient = around.gradient(&solution, &terms).unwrap();
+    let gradient = around.gradient(&solution, &terms).unwrap().by_variables;
     let norm = gradient.iter().map(|x| x * x).sum::<f64>().sqrt();
     for k in [0, 2] {
         let mut at = |by: f64| {

@@ -223,7 +223,7 @@ fn a_flow_around_a_shape_begins_with_a_field() {
     // Of the steady flow.
     let mut around = AroundShapes::new(&steady).unwrap();
     let solution = around.solve(&first).unwrap();
-    let exact = around.grid_gradient(&solution, &weights).unwrap();
+    let exact = around.grid_gradient(&solution, &weights).unwrap().by_variables;
     for k in 0..2 {
         let mut at = |step: f64| {
             let mut moved = first.clone();

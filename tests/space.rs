@@ -215,7 +215,7 @@ fn gradient_agrees_with_differences() {
     let numbers = flow.cloud.numbers();
     let solution = flow.solve(&numbers).expect("a solution");
     let wanted = [(0, 1), (0, 3)];
-    let gradient = flow.gradient(&solution, &terms, &wanted).expect("a gradient");
+    let gradient = flow.gradient(&solution, &terms, &wanted).expect("a gradient").by_numbers;
     let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
     for (k, &(shape, number)) in wanted.iter().enumerate() {
         let mut central = |step: f64| {

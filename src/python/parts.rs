@@ -2,6 +2,7 @@
 
 use super::arrays::vector;
 use super::errors::to_python;
+use super::steady::Kept;
 use super::watch::{Teller, Told};
 use crate::design::{Judge, Optimisation, Problem, Scheduled, Search};
 use crate::error::{BadInput, Error};
@@ -24,6 +25,8 @@ pub struct Parts<R> {
     scene: OnceLock<Arc<crate::scene::Scene<R>>>,
     shaped: OnceLock<Arc<Problem<R>>>,
     solver: OnceLock<Arc<Scheduled<R>>>,
+    /// For flows around shapes.
+    pub kept: Kept,
 }
 
 /// Makes something if it is not there.
@@ -38,7 +41,7 @@ fn once<T>(place: &OnceLock<Arc<T>>, make: impl FnOnce() -> Result<T, Error>) ->
 
 impl<R: Sweeps> Parts<R> {
     pub fn new(loaded: Loaded) -> Self {
-        Self { loaded, scene: OnceLock::new(), shaped: OnceLock::new(), solver: OnceLock::new() }
+        Self { loaded, scene: OnceLock::new(), shaped: OnceLock::new(), solver: OnceLock::new(), kept: Kept::default() }
     }
 
     /// As it is simulated.

@@ -128,8 +128,8 @@ impl Scene {
         gradient: bool,
         by_grid: Option<PyReadonlyArrayDyn<'py, f64>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let loaded = of!(self, parts => &parts.loaded);
-        steady(py, loaded, &Wanted::new(loaded, numbers, gradient, by_grid, None)?)
+        let (loaded, kept) = of!(self, parts => (&parts.loaded, &parts.kept));
+        steady(py, loaded, kept, &Wanted::new(loaded, numbers, gradient, by_grid, None)?)
     }
 
     fn unsteady<'py>(
@@ -141,8 +141,8 @@ impl Scene {
         velocity: Option<PyReadonlyArrayDyn<'py, f64>>,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let loaded = of!(self, parts => &parts.loaded);
-        unsteady(py, loaded, &Wanted::new(loaded, numbers, gradient, by_grid, velocity)?, progress.as_ref())
+        let (loaded, kept) = of!(self, parts => (&parts.loaded, &parts.kept));
+        unsteady(py, loaded, kept, &Wanted::new(loaded, numbers, gradient, by_grid, velocity)?, progress.as_ref())
     }
 
     fn value_and_gradient<'py>(

@@ -8,7 +8,7 @@ use crate::error::{BadInput, Error};
 use crate::scene::around_bodies::AroundBodies;
 use crate::scene::around_flow::Around;
 use crate::scene::around_shapes::AroundShapes;
-use crate::scene::history::{Moment, Of};
+use crate::scene::history::{Derivative, Moment, Of};
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::start_field;
@@ -16,6 +16,7 @@ use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{json, Map, Value};
+use std::sync::{Mutex, PoisonError};
 
 /// A flow: what it is for these numbers of shapes (in time: at its end), and the objective with its gradient.
 struct Found {
@@ -29,6 +30,7 @@ struct Found {
     /// Velocity on `output.grid`, and the derivative by that of the start, `[points, 2]` both.
     on_grid: Option<Vec<f64>>,
     by_start: Option<Vec<f64>>,
+    by_viscosity: Option<f64>,
 }
 
 /// What is wanted of a flow.
@@ -102,50 +104,104 @@ impl Wanted {
     }
 }
 
-fn found(loaded: &Loaded, wanted: &Wanted) -> Result<Found, Error> {
+/// The flow of the last call: its particles are placed once, and steady flows begin with the one before and its factors.
+#[derive(Default)]
+pub struct Kept {
+    plane: Mutex<Option<AroundShapes>>,
+    space: Mutex<Option<AroundBodies>>,
+}
+
+/// What `find` finds of the flow that is kept, or of a new one. Another thread may have it: then there are two for a while. One that
+/// fails is not kept.
+fn with_kept<A, T>(
+    place: &Mutex<Option<A>>,
+    new: impl FnOnce() -> Result<A, Error>,
+    find: impl FnOnce(&mut A) -> Result<T, Error>,
+) -> Result<T, Error> {
+    let lock = || place.lock().unwrap_or_else(PoisonError::into_inner);
+    let kept = lock().take();
+    let mut around = kept.map_or_else(new, Ok)?;
+    let found = find(&mut around)?;
+    *lock() = Some(around);
+    Ok(found)
+}
+
+fn found(loaded: &Loaded, kept: &Kept, wanted: &Wanted) -> Result<Found, Error> {
     check(loaded)?;
-    if loaded.config.is_around_bodies() {
-        return solved(&mut AroundBodies::new(&loaded.config)?, wanted, AroundBodies::summary, |_, _, _| Ok(vec![]));
+    let config = &loaded.config;
+    if config.is_around_bodies() {
+        return with_kept(
+            &kept.space,
+            || AroundBodies::new(config),
+            |around| {
+                solved(around, wanted, AroundBodies::summary, |_, _, _| {
+                    Err(BadInput::at("output.grid", "a grid around bodies").into())
+                })
+            },
+        );
     }
-    solved(&mut AroundShapes::new(&loaded.config)?, wanted, AroundShapes::summary, AroundShapes::grid_gradient)
+    with_kept(
+        &kept.plane,
+        || AroundShapes::new(config),
+        |around| solved(around, wanted, AroundShapes::summary, AroundShapes::grid_gradient),
+    )
 }
 
 fn solved<A: Around>(
     around: &mut A,
     wanted: &Wanted,
     summary: impl Fn(&A, &A::Solution) -> Vec<(&'static str, Value)>,
-    by_grid: impl Fn(&mut A, &A::Solution, &[f64]) -> Result<Vec<f64>, Error>,
+    by_grid: impl Fn(&mut A, &A::Solution, &[f64]) -> Result<Derivative, Error>,
 ) -> Result<Found, Error> {
     let numbers = chosen(wanted.numbers.clone(), around.first())?;
     let solution = around.solve(&numbers)?;
     let (objective, terms) = around.objective(&solution);
-    let gradient = match &wanted.by_grid {
+    let derivative = match &wanted.by_grid {
         Some(by) => Some(by_grid(around, &solution, by)?),
         None if wanted.gradient => Some(around.gradient(&solution, &terms)?),
         None => None,
     };
     let (figures, fields) = (text(summary(around, &solution)), around.fields(&solution));
     let on_grid = around.velocity_on_grid(&solution);
-    Ok(Found { numbers, objective, gradient, figures, fields, history: vec![], on_grid, by_start: None })
+    let (gradient, by_viscosity) =
+        derivative.map_or((None, None), |found| (Some(found.by_variables), found.by_viscosity));
+    Ok(Found { numbers, objective, gradient, figures, fields, history: vec![], on_grid, by_start: None, by_viscosity })
 }
 
-fn found_in_time(loaded: &Loaded, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
-    if loaded.config.unsteady().is_none() {
+fn found_in_time(loaded: &Loaded, kept: &Kept, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
+    let config = &loaded.config;
+    if config.config.unsteady().is_none() {
         return Err(BadInput::at("method.flow", "unsteady() of a scene with a steady flow")
             .allowed("method.flow = \"unsteady\"")
             .advice("method.flow=unsteady")
             .into());
     }
     check(loaded)?;
-    if loaded.config.is_around_bodies() {
-        return marched(&AroundBodies::new(&loaded.config)?, wanted, tell);
+    if config.is_around_bodies() {
+        return with_kept(
+            &kept.space,
+            || AroundBodies::new(config),
+            |around| {
+                around.by_viscosity = true;
+                marched(around, wanted, tell)
+            },
+        );
     }
-    let mut around = AroundShapes::new(&loaded.config)?;
-    if let Some((shape, velocity)) = &wanted.start {
-        let velocity = [velocity[0].clone(), velocity[1].clone()];
-        around.start = Some(start_field::on_grid(&loaded.config, "velocity", [shape[0], shape[1]], velocity)?);
-    }
-    marched(&around, wanted, tell)
+    with_kept(
+        &kept.plane,
+        || AroundShapes::new(config),
+        |around| {
+            around.by_viscosity = true;
+            around.start = match &wanted.start {
+                Some((shape, velocity)) => {
+                    let velocity = [velocity[0].clone(), velocity[1].clone()];
+                    Some(start_field::on_grid(config, "velocity", [shape[0], shape[1]], velocity)?)
+                }
+                None => start_field::of_config(config)?,
+            };
+            marched(around, wanted, tell)
+        },
+    )
 }
 
 fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
@@ -162,6 +218,7 @@ fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<
         true => Some(around.march_gradient(&numbers, &history, of)?),
         false => None,
     };
+    let by_viscosity = derivative.as_ref().and_then(|found| found.by_viscosity);
     let (gradient, by_start) = derivative.map_or((None, None), |found| (Some(found.by_variables), found.by_start));
     let mean = |(k, (name, _)): (usize, &(String, _))| (name.clone(), json!(history.of(&window, k).mean));
     let figures: Map<String, Value> = history.figures.iter().enumerate().map(mean).collect();
@@ -171,12 +228,12 @@ fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<
     let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     let figures = Value::Object(figures).to_string();
     let on_grid = around.velocity_on_grid(&last);
-    Ok(Found { numbers, objective, gradient, figures, fields, history: columns, on_grid, by_start })
+    Ok(Found { numbers, objective, gradient, figures, fields, history: columns, on_grid, by_start, by_viscosity })
 }
 
 /// See ``hydrograd.Scene.steady``.
-pub fn steady<'py>(py: Python<'py>, loaded: &Loaded, wanted: &Wanted) -> PyResult<Bound<'py, PyDict>> {
-    let found = py.detach(|| found(loaded, wanted)).map_err(|error| to_python(error.into()))?;
+pub fn steady<'py>(py: Python<'py>, loaded: &Loaded, kept: &Kept, wanted: &Wanted) -> PyResult<Bound<'py, PyDict>> {
+    let found = py.detach(|| found(loaded, kept, wanted)).map_err(|error| to_python(error.into()))?;
     found.into_python(py, loaded)
 }
 
@@ -184,11 +241,13 @@ pub fn steady<'py>(py: Python<'py>, loaded: &Loaded, wanted: &Wanted) -> PyResul
 pub fn unsteady<'py>(
     py: Python<'py>,
     loaded: &Loaded,
+    kept: &Kept,
     wanted: &Wanted,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let found =
-        watched(py, progress, |teller| Ok(found_in_time(loaded, wanted, &|share| teller.often(Told::Share(share)))?))?;
+    let found = watched(py, progress, |teller| {
+        Ok(found_in_time(loaded, kept, wanted, &|share| teller.often(Told::Share(share)))?)
+    })?;
     let history = PyDict::new(py);
     for (name, values) in &found.history {
         history.set_item(name, vector(py, values.clone()))?;
@@ -208,6 +267,7 @@ impl Found {
         all.set_item("numbers", vector(py, self.numbers))?;
         all.set_item("objective", self.objective)?;
         all.set_item("gradient", self.gradient.map(|gradient| vector(py, gradient)))?;
+        all.set_item("viscosity_gradient", self.by_viscosity)?;
         all.set_item("figures", self.figures)?;
         let ParticleFields { dimension, position, velocity, pressure, temperature, tag, .. } = self.fields;
         all.set_item("position", columns(py, position, dimension)?)?;

@@ -36,6 +36,8 @@ pub struct AroundBodies {
     pub(super) probes: Vec<[f64; 3]>,
     /// Shape and number in its surface of each of `variables`.
     pub wanted: Vec<(usize, usize)>,
+    /// Whether the derivative of a flow in time is wanted by the viscosity, too.
+    pub by_viscosity: bool,
 }
 
 /// Conditions on walls, by formulas.
@@ -198,7 +200,7 @@ impl AroundBodies {
         }
         let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads)
             .map_err(|why| unusable(config, &why))?;
-        Ok(Self { flow, config: config.clone(), probes, wanted })
+        Ok(Self { flow, config: config.clone(), probes, wanted, by_viscosity: false })
     }
 
     pub fn config(&self) -> &Config {

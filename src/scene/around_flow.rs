@@ -124,11 +124,11 @@ pub trait Around {
     fn probes(&self) -> Vec<&[f64]>;
     /// The shapes that an objective is about which names none.
     fn judged_shapes(&self) -> Vec<usize>;
-    /// The derivative of weighted figures of a steady flow by the variables.
+    /// The derivative of weighted figures of a steady flow.
     ///
     /// # Errors
     /// A transposed system that cannot be solved, and a derivative that is not finite.
-    fn gradient(&mut self, solution: &Self::Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error>;
+    fn gradient(&mut self, solution: &Self::Solution, terms: &[(Figure, f64)]) -> Result<Derivative, Error>;
     /// Value and derivative of a limit that needs no flow; none for other kinds.
     fn of_shapes(&self, kind: ObjectiveKind, shapes: &[usize], variables: &[f64]) -> Option<Judged>;
     /// The fastest particle.
@@ -337,7 +337,7 @@ pub trait Around {
         let by_variables = match flow {
             Flowed::Steady(solution) => {
                 let (_, terms) = self.objective(solution);
-                self.gradient(solution, &terms)?
+                self.gradient(solution, &terms)?.by_variables
             }
             Flowed::InTime(history) => self.march_gradient(variables, history, Of::Objective)?.by_variables,
         };
@@ -362,7 +362,7 @@ pub trait Around {
         Ok(match flow {
             Flowed::Steady(solution) => {
                 let (value, terms) = self.terms(solution, &asked);
-                Judged { value, by_variables: self.gradient(solution, &terms)? }
+                Judged { value, by_variables: self.gradient(solution, &terms)?.by_variables }
             }
             Flowed::InTime(history) => {
                 let window = self.window(variables, history)?;

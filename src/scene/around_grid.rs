@@ -1,6 +1,7 @@
 //! The flow around shapes on the points of a grid, `output.grid`.
 
 use super::around_shapes::{no_solution, AroundShapes};
+use super::history::Derivative;
 use crate::error::Error;
 use crate::io::grid_file::write_grid;
 use crate::io::vtk::Image;
@@ -71,15 +72,15 @@ impl AroundShapes {
         }
     }
 
-    /// The derivative by the variables of the sum of a steady flow's velocities on the grid times `by`, `[points, 2]`.
+    /// The derivative of the sum of a steady flow's velocities on the grid times `by`, `[points, 2]`.
     ///
     /// # Errors
     /// A transposed system that cannot be solved.
-    pub fn grid_gradient(&mut self, solution: &Solution, by: &[f64]) -> Result<Vec<f64>, Error> {
+    pub fn grid_gradient(&mut self, solution: &Solution, by: &[f64]) -> Result<Derivative, Error> {
         let mut bar = Bar::new(self.flow.cloud.particles(), solution.shaped.area.len());
         self.grid_velocity_back(solution, by, &mut bar);
         let wanted = self.wanted.clone();
         let found = self.flow.pull_back(solution, bar, &wanted);
-        found.map_err(|why| no_solution(self.config(), &why))
+        Derivative::of_steady(self.config(), found.map_err(|why| no_solution(self.config(), &why))?)
     }
 }

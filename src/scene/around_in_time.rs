@@ -45,6 +45,8 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     fn cloud(&self) -> &Self::Cloud;
     /// Shape and number of each variable.
     fn wanted(&self) -> &[(usize, usize)];
+    /// Whether the derivative is wanted by the viscosity, too.
+    fn by_viscosity(&self) -> bool;
     /// Spacing of each particle.
     fn spacing(&self) -> &[f64];
     fn held(&self) -> Option<&Held>;
@@ -237,6 +239,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             first: &first,
             sizes: &history.sizes,
             memory,
+            by_viscosity: self.by_viscosity(),
             flow_rate_back: &flow_rate_back,
         };
         let found = taken
@@ -265,7 +268,8 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             }
             by_start
         });
-        Ok(Derivative { by_variables: all, by_start })
+        let by_viscosity = self.by_viscosity().then(|| found.bar.viscosity / self.config().fluid.density);
+        Ok(Derivative { by_variables: all, by_viscosity, by_start })
     }
 }
 

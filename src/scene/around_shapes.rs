@@ -34,6 +34,8 @@ pub struct AroundShapes {
     pub(super) probes: Vec<[f64; 2]>,
     /// Shape and number in its outline of each of `variables`.
     pub wanted: Vec<(usize, usize)>,
+    /// Whether the derivative of a flow in time is wanted by the viscosity, too.
+    pub by_viscosity: bool,
     /// The velocity at the start of a flow in time, where a grid gives it instead of formulas.
     pub start: Option<GridVelocity>,
 }
@@ -248,7 +250,8 @@ impl AroundShapes {
                 )
                 .into());
         }
-        Ok(Self { flow, config: config.clone(), probes, wanted, start: start_field::of_config(config)? })
+        let start = start_field::of_config(config)?;
+        Ok(Self { flow, config: config.clone(), probes, wanted, by_viscosity: false, start })
     }
 
     pub fn config(&self) -> &Config {

@@ -3,7 +3,7 @@
 use super::around_bodies::AroundBodies;
 use super::around_flow::Around;
 use super::around_in_time::{Marching, View};
-use super::around_shapes::{check_finite, no_solution, Judged};
+use super::around_shapes::{no_solution, Judged};
 use super::history::{Derivative, History, Of, Watch};
 use super::particle_fields::ParticleFields;
 use crate::config::custom::Part;
@@ -79,11 +79,10 @@ impl Around for AroundBodies {
         (0..self.config().shapes.len()).collect()
     }
 
-    fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Vec<f64>, Error> {
+    fn gradient(&mut self, solution: &Solution, terms: &[(Figure, f64)]) -> Result<Derivative, Error> {
         let wanted = self.wanted.clone();
         let found = self.flow.gradient(solution, terms, &wanted).map_err(|why| no_solution(self.config(), &why))?;
-        check_finite(self.config(), &found)?;
-        Ok(found)
+        Derivative::of_steady(self.config(), found)
     }
 
     fn of_shapes(&self, kind: ObjectiveKind, shapes: &[usize], variables: &[f64]) -> Option<Judged> {
@@ -122,6 +121,10 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
 
     fn wanted(&self) -> &[(usize, usize)] {
         &self.wanted
+    }
+
+    fn by_viscosity(&self) -> bool {
+        self.by_viscosity
     }
 
     fn spacing(&self) -> &[f64] {

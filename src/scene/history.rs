@@ -1,9 +1,12 @@
 //! Figures of a flow around shapes over time, and how they go through a part of it.
 
+use super::around_shapes::check_finite;
 use super::periods::Window;
+use crate::config::scene::Config;
 use crate::error::Error;
 use crate::numerics::curve::rises;
 use crate::sph::cloud::figures::Figure;
+use crate::sph::cloud::problem::Gradient;
 
 /// The figures of one time, in the order of [`History::figures`].
 #[derive(Debug, Clone, PartialEq)]
@@ -93,10 +96,24 @@ pub enum Of<'a> {
     Grid(&'a [f64]),
 }
 
-/// The derivative by all that a flow in time is a function of.
+/// The derivative by all that a flow is a function of.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Derivative {
     pub by_variables: Vec<f64>,
+    /// By `fluid.viscosity`, where it is wanted.
+    pub by_viscosity: Option<f64>,
     /// By the velocity that a grid gave at the start, `[points, D]`.
     pub by_start: Option<Vec<f64>>,
+}
+
+impl Derivative {
+    /// That of a steady flow, in the units of a configuration.
+    ///
+    /// # Errors
+    /// One that is not finite.
+    pub fn of_steady(config: &Config, found: Gradient) -> Result<Self, Error> {
+        check_finite(config, &found.by_numbers)?;
+        let by_viscosity = Some(found.by_viscosity / config.fluid.density);
+        Ok(Self { by_variables: found.by_numbers, by_viscosity, by_start: None })
+    }
 }

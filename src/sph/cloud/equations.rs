@@ -76,11 +76,23 @@ pub struct Equations {
     pub buoyancy: Option<Buoyancy>,
     /// tau of each particle.
     pub damping: Vec<f64>,
+    /// The spacing h at each particle, on which tau depends.
+    pub spacing: Vec<f64>,
     /// Number of particles inside; the others are on the boundary.
     pub inside: usize,
     /// Of each particle on the boundary.
     pub conditions: Vec<Condition>,
     pub stencils: Stencils,
+}
+
+/// tau = 2 / (4 nu / h^2 + 1.4 U / h).
+pub fn damping(viscosity: f64, velocity: f64, spacing: f64) -> f64 {
+    2.0 / (4.0 * viscosity / (spacing * spacing) + 1.4 * velocity / spacing)
+}
+
+/// The derivative of tau by the viscosity, also of one whose 1 / tau has a part by the step in time.
+pub fn damping_slope(damping: f64, spacing: f64) -> f64 {
+    -2.0 * (damping / spacing).powi(2)
 }
 
 /// Derivatives of all F fields at all particles, `[N][C]` each.
@@ -318,12 +330,15 @@ impl Equations {
                 du_bar[i][0] += row[2];
                 dv_bar[i][1] += row[2];
                 dp_bar[i][LEFT] -= self.damping[i] * row[2];
+                bar.viscosity -= damping_slope(self.damping[i], self.spacing[i]) * d.0[2][i][LEFT] * row[2];
             }
             match motion {
                 None => {
-                    for (bar, row) in [(&mut du_bar[i], row[0]), (&mut dv_bar[i], row[1])] {
-                        bar[2] -= self.viscosity * row;
-                        bar[4] -= self.viscosity * row;
+                    for (field, to, row) in [(0, &mut du_bar[i], row[0]), (1, &mut dv_bar[i], row[1])] {
+                        let of = &d.0[field][i];
+                        to[2] -= self.viscosity * row;
+                        to[4] -= self.viscosity * row;
+                        bar.viscosity -= (of[2] + of[4]) * row;
                     }
                     dp_bar[i][0] += row[0];
                     dp_bar[i][1] += row[1];
@@ -399,6 +414,8 @@ pub struct Bar<const D: usize = 2, const F: usize = 4, const C: usize = COEFFICI
     pub fields: [Vec<f64>; F],
     /// Of the drive's acceleration.
     pub drive: f64,
+    /// Of the kinematic viscosity.
+    pub viscosity: f64,
     /// Of the volume of the fluid, in space.
     pub volume: f64,
     /// Of numbers of shapes themselves: shape, number, cotangent.
@@ -413,6 +430,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
             position: std::array::from_fn(|_| vec![0.0; particles]),
             fields: std::array::from_fn(|_| vec![0.0; particles]),
             drive: 0.0,
+            viscosity: 0.0,
             volume: 0.0,
             numbers: vec![],
         }
@@ -423,7 +441,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
         self.derivatives.0.iter_mut().for_each(|field| field.fill([0.0; C]));
         self.boundary.fill(BoundaryBar::default());
         self.position.iter_mut().chain(&mut self.fields).for_each(|field| field.fill(0.0));
-        (self.drive, self.volume) = (0.0, 0.0);
+        (self.drive, self.viscosity, self.volume) = (0.0, 0.0, 0.0);
         self.numbers.clear();
     }
 }

@@ -265,6 +265,7 @@ impl Measures {
             bar.derivatives.0[e][i][b] += weight * nu * a[b];
             bar.derivatives.0[b][i][e] += weight * nu * a[b];
             bar.boundary[k].area[b] += weight * (nu * (gradient[e][b] + gradient[b][e]) - u[e] * u[b]);
+            bar.viscosity += weight * (gradient[e][b] + gradient[b][e]) * a[b];
             bar.fields[b][i] -= weight * u[e] * a[b];
         }
         bar.boundary[k].area[e] -= weight * p;

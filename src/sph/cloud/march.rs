@@ -104,8 +104,12 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         (&self.solver.equations.stencils, self.operators)
     }
 
-    fn boundary_derivatives(&self, state: &State) -> Derivatives {
-        self.solver.equations.derivatives_at(self.operators, state, &[])
+    fn derivatives(&self, state: &State, everywhere: bool) -> Derivatives {
+        let equations = &self.solver.equations;
+        match everywhere {
+            true => equations.derivatives(self.operators, state, true),
+            false => equations.derivatives_at(self.operators, state, &[]),
+        }
     }
 
     fn by_fields(&self, bar: &Bar) -> [Vec<f64>; 4] {

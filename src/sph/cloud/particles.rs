@@ -2,7 +2,7 @@
 
 use super::conditions::Conditions;
 use super::deformation::Deformation;
-use super::equations::{Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
+use super::equations::{damping, Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::nearest::{Nearest, Plane};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
@@ -257,7 +257,8 @@ impl Cloud {
             diffusivity: self.fluid.diffusivity,
             force: self.fluid.force,
             buoyancy: self.fluid.buoyancy,
-            damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
+            damping: self.places.spacing.iter().map(|h| damping(nu, velocity, *h)).collect(),
+            spacing: self.places.spacing.clone(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
             stencils: self.stencils.clone(),

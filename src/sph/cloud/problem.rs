@@ -23,6 +23,15 @@ pub struct Solution {
     pub derivatives: Derivatives,
 }
 
+/// The derivative of figures of a flow.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradient {
+    /// By the numbers of shapes that are wanted.
+    pub by_numbers: Vec<f64>,
+    /// By the kinematic viscosity.
+    pub by_viscosity: f64,
+}
+
 /// Why there is no solution.
 #[derive(Debug, Clone, PartialEq)]
 pub enum NoSolution<const D: usize = 2> {
@@ -136,7 +145,7 @@ impl SteadyFlow {
         self.measures.value(figure, &self.at(solution))
     }
 
-    /// The derivative of a weighted sum of figures by numbers (shape, number).
+    /// The derivative of a weighted sum of figures by numbers (shape, number) and the viscosity.
     ///
     /// # Errors
     /// A transposed system that cannot be solved.
@@ -145,7 +154,7 @@ impl SteadyFlow {
         solution: &Solution,
         terms: &[(Figure, f64)],
         wanted: &[(usize, usize)],
-    ) -> Result<Vec<f64>, NoSolution> {
+    ) -> Result<Gradient, NoSolution> {
         let mut bar = Bar::new(self.cloud.particles(), solution.shaped.area.len());
         for &(figure, weight) in terms {
             self.measures.pull_back(figure, &self.at(solution), weight, &mut bar);
@@ -153,7 +162,7 @@ impl SteadyFlow {
         self.pull_back(solution, bar, wanted)
     }
 
-    /// The derivative by numbers (shape, number) of what has these cotangents.
+    /// The derivative by numbers (shape, number) and the viscosity of what has these cotangents.
     ///
     /// # Errors
     /// As [`Self::gradient`].
@@ -162,7 +171,7 @@ impl SteadyFlow {
         solution: &Solution,
         mut bar: Bar,
         wanted: &[(usize, usize)],
-    ) -> Result<Vec<f64>, NoSolution> {
+    ) -> Result<Gradient, NoSolution> {
         let Solution { shaped, state, derivatives } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();
@@ -183,6 +192,7 @@ impl SteadyFlow {
             self.measures.pull_back(Figure::FlowRate, &self.at(solution), -multiplier * factor, &mut bar);
         }
         let positions = equations.by_positions(&shaped.position, state, &bar);
-        Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0)))
+        let by_numbers = self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0));
+        Ok(Gradient { by_numbers, by_viscosity: bar.viscosity })
     }
 }

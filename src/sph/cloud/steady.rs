@@ -111,6 +111,10 @@ pub(super) struct Factors {
     rows: OnceCell<Vec<Vec<f64>>>,
 }
 
+pub(super) fn largest(residual: &[f64]) -> f64 {
+    residual.iter().fold(0.0, |most: f64, x| most.max(x.abs()))
+}
+
 /// Solves a small dense system.
 pub(super) fn dense(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Vec<f64> {
     let n = b.len();
@@ -286,6 +290,13 @@ impl Solver {
         residual
     }
 
+    /// The largest residual of a flow at rest, with the drive of a state.
+    fn residual_at_rest(&self, state: &State, held: Option<(&Held, &dyn FlowRate)>) -> f64 {
+        let n = self.equations.particles();
+        let rest = State { drive: state.drive, ..State::at_rest(n) };
+        largest(&self.residual(&rest, &Derivatives::zeros(n), held)).max(f64::MIN_POSITIVE)
+    }
+
     fn times(&self, border: &Border, x: &[f64], transposed: bool) -> Vec<f64> {
         let m = border.columns.len();
         let (own, extra) = x.split_at(x.len() - m);
@@ -351,17 +362,15 @@ impl Solver {
         let (n, s) = (self.equations.particles(), self.flow.size);
         // The first factors are those of a flow at rest, which are of no use for the next step.
         let is_cold = self.factors.is_none();
-        // The residual of the first state.
-        let mut scale = None;
+        let scale = self.residual_at_rest(state, held);
         let mut last = f64::INFINITY;
         for step in 0..STEPS {
             let d = self.equations.derivatives(operators, state, self.is_coupled());
             let residual = self.residual(state, &d, held);
-            let largest = residual.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let largest = largest(&residual);
             if !largest.is_finite() || largest > 1e12 {
                 return Err(NoSteadyState::Diverged { residual: largest });
             }
-            let scale = *scale.get_or_insert(largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE));
             // Below this rounding of second derivatives may keep it from falling.
             if largest <= TOLERANCE * scale || (largest <= 1e-8 * scale && largest > 0.2 * last) {
                 return if self.is_coupled() { Ok(()) } else { self.settle_heat(operators, state) };

@@ -144,8 +144,8 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
     fn extra(&self) -> [bool; 2];
     /// Stencils and coefficients of the slopes of what the flow carries.
     fn carriers(&self) -> (&Stencils<D>, &Coefficients<C>);
-    /// Derivatives at the boundary.
-    fn boundary_derivatives(&self, state: &State<F>) -> Derivatives<F, C>;
+    /// Derivatives at the boundary, or everywhere.
+    fn derivatives(&self, state: &State<F>, everywhere: bool) -> Derivatives<F, C>;
     /// See [`super::equations::Equations::by_fields`].
     fn by_fields(&self, bar: &Bar<D, F, C>) -> [Vec<f64>; F];
     /// What is known of the cotangents of positions while steps are gone through.

@@ -41,13 +41,15 @@ pub struct Taken<'a, const D: usize, const F: usize, const C: usize> {
     pub sizes: &'a [f64],
     /// Bytes for states.
     pub memory: usize,
+    /// Whether the cotangent of the viscosity is wanted, for which derivatives inside are taken, too.
+    pub by_viscosity: bool,
     /// Adds the cotangents of the flow rate times a number to a bar, for one that is held.
     pub flow_rate_back: &'a dyn Fn(&State<F>, f64, &mut Bar<D, F, C>),
 }
 
 /// Cotangents of all that a flow depends on.
 pub struct Cotangents<const D: usize, const F: usize, const C: usize> {
-    /// Of the positions; of the boundary's numbers only if these do not change with time.
+    /// Of the viscosity, if it is wanted; of the boundary's numbers only if these do not change with time.
     pub bar: Bar<D, F, C>,
     pub position: [Vec<f64>; D],
     pub parameters: Vec<f64>,
@@ -161,7 +163,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                 // What the matrices know of positions and walls.
                 let against: Vec<f64> = y[..size * n].iter().map(|y| -y).collect();
                 let against_heat: Vec<f64> = heat.iter().map(|y| -y).collect();
-                let d = march.boundary_derivatives(state);
+                let d = march.derivatives(state, self.by_viscosity);
                 let heat = has_heat.then_some(against_heat.as_slice());
                 march.pull_back_linear(a0, &d, &against, heat, &mut bar);
                 if let (Some(_), Some(multiplier)) = (self.flow_rate, y.last()) {
@@ -246,6 +248,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             to.temperature += from.temperature;
         }
         found.bar.volume += bar.volume;
+        found.bar.viscosity += bar.viscosity;
         found.bar.numbers.extend(&bar.numbers);
     }
 }

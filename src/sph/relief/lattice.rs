@@ -1,7 +1,7 @@
 //! The lattice, the steady flow on it, and its adjoint.
 
 use crate::numerics::sparse_lu::Order;
-use crate::sph::cloud::equations::Warmth;
+use crate::sph::cloud::equations::{damping, Warmth};
 use crate::sph::cloud::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
 use crate::sph::cloud::nearest::{Nearest, Region};
 use crate::sph::cloud::space::equations::{
@@ -153,7 +153,8 @@ impl OverRelief {
             diffusivity: Some(channel.diffusivity),
             force: [channel.force, 0.0, 0.0],
             buoyancy: None,
-            damping: vec![2.0 / (4.0 * nu / (h * h) + 1.4 * channel.velocity / h); n],
+            damping: vec![damping(nu, channel.velocity, h); n],
+            spacing: vec![h; n],
             inside,
             conditions: (0..2 * columns).map(condition).collect(),
             ends: self.ends.clone(),

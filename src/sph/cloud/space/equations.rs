@@ -10,7 +10,7 @@
 //!
 //! b (T - T0) is [buoyancy](crate::sph::laws::buoyancy).
 
-use super::super::equations::{self, Warmth};
+use super::super::equations::{self, damping_slope, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::fits::Fits;
 use crate::sph::consistent::stencil::quadratic;
@@ -57,6 +57,8 @@ pub struct Equations {
     pub buoyancy: Option<Buoyancy>,
     /// tau of each particle.
     pub damping: Vec<f64>,
+    /// The spacing h at each particle, on which tau depends.
+    pub spacing: Vec<f64>,
     pub inside: usize,
     pub conditions: Vec<Condition>,
     /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
@@ -191,6 +193,8 @@ impl Equations {
             if !matches!(motion, Some(Motion::Outflow(_))) {
                 (0..3).for_each(|e| bar.derivatives.0[e][i][e] += row[PRESSURE]);
                 bar.derivatives.0[PRESSURE][i][LEFT] -= self.damping[i] * row[PRESSURE];
+                let slope = damping_slope(self.damping[i], self.spacing[i]);
+                bar.viscosity -= slope * d.0[PRESSURE][i][LEFT] * row[PRESSURE];
             }
             for e in 0..3 {
                 match motion {
@@ -198,6 +202,7 @@ impl Equations {
                         let to = &mut bar.derivatives.0[e][i];
                         (0..3).for_each(|a| to[quadratic(3, a, a)] -= self.viscosity * row[e]);
                         bar.derivatives.0[PRESSURE][i][e] += row[e];
+                        bar.viscosity -= laplacian(&d.0[e][i]) * row[e];
                     }
                     Some(Motion::Given(_)) => bar.boundary[i - self.inside].velocity[e] -= row[e],
                     Some(Motion::Symmetry(along)) if along == e => {}

@@ -179,7 +179,9 @@ impl Measures {
         let (u, p) = (at.state.velocity(i), at.state.fields[PRESSURE][i]);
         let mut area = [0.0; 3];
         for b in 0..3 {
-            area[b] = weight * (nu * (at.d.0[e][i][b] + at.d.0[b][i][e]) - u[e] * u[b]);
+            let twice = at.d.0[e][i][b] + at.d.0[b][i][e];
+            area[b] = weight * (nu * twice - u[e] * u[b]);
+            bar.viscosity += weight * twice * a[b];
             bar.derivatives.0[e][i][b] += weight * nu * a[b];
             bar.derivatives.0[b][i][e] += weight * nu * a[b];
             bar.fields[b][i] -= weight * u[e] * a[b];

@@ -168,8 +168,12 @@ impl Scheme<3, 5, C> for March<'_> {
         (&self.solver.equations.fits.all, self.operators)
     }
 
-    fn boundary_derivatives(&self, state: &State) -> Derivatives {
-        self.solver.equations.derivatives_at(self.operators, state, &[])
+    fn derivatives(&self, state: &State, everywhere: bool) -> Derivatives {
+        let equations = &self.solver.equations;
+        match everywhere {
+            true => equations.derivatives(self.operators, state),
+            false => equations.derivatives_at(self.operators, state, &[]),
+        }
     }
 
     fn by_fields(&self, bar: &Bar) -> [Vec<f64>; 5] {

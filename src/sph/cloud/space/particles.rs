@@ -3,7 +3,7 @@
 //! Points on a surface follow it; the others follow by a harmonic map, see [`super::super::deformation`].
 
 use super::super::conditions::Conditions;
-use super::super::equations::Warmth;
+use super::super::equations::{damping, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::{Nearest, Region};
 use super::super::outline::Dual;
@@ -143,7 +143,8 @@ impl Cloud {
             diffusivity: self.fluid.diffusivity,
             force: self.fluid.force,
             buoyancy: self.fluid.buoyancy,
-            damping: self.places.spacing.iter().map(|h| 2.0 / (4.0 * nu / (h * h) + 1.4 * velocity / h)).collect(),
+            damping: self.places.spacing.iter().map(|h| damping(nu, velocity, *h)).collect(),
+            spacing: self.places.spacing.clone(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
             ends: vec![],

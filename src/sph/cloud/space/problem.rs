@@ -2,7 +2,7 @@
 
 use super::super::figures::Figure;
 use super::super::particles::Unusable;
-use super::super::problem::{NoSolution, CONTINUATION};
+use super::super::problem::{Gradient, NoSolution, CONTINUATION};
 use super::super::steady::{Held, NoSteadyState};
 use super::equations::{Bar, Condition, Derivatives, State, FLOW};
 use super::figures::{At, Measures, Rate};
@@ -101,7 +101,7 @@ impl SteadyFlow {
         At { equations: &self.solver.equations, shaped, conditions, state, d }
     }
 
-    /// The derivative of a weighted sum of figures by numbers (shape, number).
+    /// The derivative of a weighted sum of figures by numbers (shape, number) and the viscosity.
     ///
     /// # Errors
     /// A transposed system that cannot be solved.
@@ -110,7 +110,7 @@ impl SteadyFlow {
         solution: &Solution,
         terms: &[(Figure, f64)],
         wanted: &[(usize, usize)],
-    ) -> Result<Vec<f64>, NoSolution<3>> {
+    ) -> Result<Gradient, NoSolution<3>> {
         let Solution { shaped, state, derivatives, .. } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();
@@ -135,6 +135,7 @@ impl SteadyFlow {
             self.measures.pull_back(Figure::FlowRate, &self.at(solution), -multiplier * factor, &mut bar);
         }
         let positions = equations.by_positions(&shaped.position, state, &bar);
-        Ok(self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0))?)
+        let by_numbers = self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0))?;
+        Ok(Gradient { by_numbers, by_viscosity: bar.viscosity })
     }
 }

@@ -5,7 +5,7 @@
 //! ([`super::coupled`]).
 
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
-use super::super::steady::{Held, NoSteadyState};
+use super::super::steady::{largest, Held, NoSteadyState};
 use super::coupled::Coupled;
 use super::equations::{Derivatives, Equations, State, FLOW, PRESSURE, TEMPERATURE};
 use super::linear::{heat_matrix, Border, Linear, System};
@@ -112,6 +112,15 @@ impl Solver {
         residual
     }
 
+    /// Those of all unknowns that are solved for together: with buoyancy also `[N]` of the heat.
+    fn all_residuals(&self, state: &State, d: &Derivatives, held: Drive<'_>) -> Vec<f64> {
+        let mut residual = self.residual(state, d, held);
+        if self.equations.buoyancy.is_some() {
+            residual.extend(self.equations.heat_residual(state, d));
+        }
+        residual
+    }
+
     /// Finds the steady flow and its temperature, starting from `state`.
     ///
     /// # Errors
@@ -123,20 +132,18 @@ impl Solver {
         held: Drive<'_>,
     ) -> Result<(), NoSteadyState> {
         let n = self.equations.particles();
-        let mut scale = None;
+        let rest = State { drive: state.drive, ..State::at_rest(n) };
+        let at_rest = self.all_residuals(&rest, &Derivatives::zeros(n), held);
+        let scale = largest(&at_rest).max(f64::MIN_POSITIVE);
         let mut last = f64::INFINITY;
         for _ in 0..STEPS {
             let d = self.equations.derivatives(operators, state);
-            let mut residual = self.residual(state, &d, held);
+            let residual = self.all_residuals(state, &d, held);
             let coupled = self.equations.buoyancy.is_some();
-            if coupled {
-                residual.extend(self.equations.heat_residual(state, &d));
-            }
-            let largest = residual.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let largest = largest(&residual);
             if !largest.is_finite() || largest > 1e12 {
                 return Err(NoSteadyState::Diverged { residual: largest });
             }
-            let scale = *scale.get_or_insert(largest.max(self.equations.force[0].abs()).max(f64::MIN_POSITIVE));
             if largest <= TOLERANCE * scale || (largest <= 1e-7 * scale && largest > 0.2 * last) {
                 return if coupled { Ok(()) } else { self.settle_heat(operators, state) };
             }

@@ -172,12 +172,12 @@ def apply(inputs: Any) -> tuple[Any, float]:
 
 
 def cotangents(inputs: Any, wanted: set[str], by_outputs: Mapping[str, Any]) -> dict[str, Any]:
-    """The cotangents of v0 and the inflow_profile from those of the result and the drag. A steady flow does not depend on v0."""
-    unknown = sorted(wanted - {"v0", "inflow_profile"})
+    """The cotangents of v0, viscosity and inflow_profile from those of the result and the drag. A steady flow does not depend on v0."""
+    unknown = sorted(wanted - {"v0", "viscosity", "inflow_profile"})
     if unknown:
-        raise _refused(f"the derivative by {unknown[0]} around an obstacle", "those by v0 and inflow_profile")
+        raise _refused(f"the derivative by {unknown[0]} around an obstacle", "those by v0, viscosity and inflow_profile")
     case, numbers, start = _case(inputs)
-    by_v0, by_profile = np.zeros_like(start), np.zeros(len(numbers))
+    by_v0, by_profile, by_viscosity = np.zeros_like(start), np.zeros(len(numbers)), 0.0
     for name, by in by_outputs.items():
         cotangent = None if by is None else np.asarray(by, dtype=np.float64)
         if cotangent is None or not cotangent.any():
@@ -191,5 +191,6 @@ def cotangents(inputs: Any, wanted: set[str], by_outputs: Mapping[str, Any]) -> 
         else:
             found = _steady(case, tuple(numbers.tolist())) if is_drag else _scene(case).steady(numbers, **more)
         by_profile += weight * np.asarray(found.gradient)
-    all_of_them: dict[str, Any] = {"v0": by_v0.reshape(np.shape(inputs.v0)), "inflow_profile": by_profile}
-    return {name: all_of_them[name].astype(np.float32) for name in wanted}
+        by_viscosity += weight * (found.viscosity_gradient or 0.0)
+    all_of_them = {"v0": by_v0.reshape(np.shape(inputs.v0)), "viscosity": [by_viscosity], "inflow_profile": by_profile}
+    return {name: np.asarray(all_of_them[name], dtype=np.float32) for name in wanted}

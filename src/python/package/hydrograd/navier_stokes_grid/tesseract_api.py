@@ -121,7 +121,7 @@ def vector_jacobian_product(
     inputs: InputSchema, vjp_inputs: set[str], vjp_outputs: set[str], cotangent_vector: dict[str, Any]
 ) -> dict[str, Any]:
     """The cotangents of v0, viscosity and dt from that of the result: exact, for the steps in time that were taken. With a body those of
-    v0 and inflow_profile from those of result and drag."""
+    v0, viscosity and inflow_profile from those of result and drag."""
     if inputs.obstacle is not None:
         return body.cotangents(inputs, vjp_inputs, {name: cotangent_vector.get(name) for name in vjp_outputs})
     flow = _flow(inputs)
