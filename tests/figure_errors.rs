@@ -3,7 +3,7 @@
 use crate::support::program::{hydrograd, succeeds};
 use hydrograd::config::scene::Config;
 use hydrograd::design::diagnostics::sampling;
-use hydrograd::numerics::grid_convergence::{at_finest, beside_finer, observed_order, Point};
+use hydrograd::numerics::grid_convergence::{at_finest, observed_order, Point};
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::scene::figure_error::{errors, figures};
 use hydrograd::scene::record::Record;
@@ -23,9 +23,6 @@ fn the_error_of_a_power_of_the_spacing_is_found_with_its_factor_of_safety() {
         let found = at_finest(fine, &[middle, coarse], order).unwrap();
         assert!((found / truth - 1.25).abs() < 1e-12, "order {order}: {found} of {truth}");
         assert!((observed_order(fine, &[coarse, middle]).unwrap() - order).abs() < 1e-9);
-        // What a finer spacing says of a coarser one is no less than its error.
-        let found = beside_finer(coarse, fine, order).unwrap();
-        assert!(found >= coarse.value - 2.0 && found < 1.3 * (coarse.value - 2.0), "order {order}: {found}");
     }
     assert_eq!(at_finest(point(0.1, 1.0), &[], 1.0), None);
     // Values on both sides have no order.
@@ -76,7 +73,7 @@ fn figures_that_agree_by_chance_have_an_error_too() {
     assert!(of("body_force").is_none() && of("shapes[0].force[1]").is_none());
     // The flow rate hardly changes; the median of the relative errors is that of the force.
     let flow = of("flow_rate").unwrap();
-    assert!((flow.error / flow.value - 0.5 * force.error / force.value).abs() < 1e-12, "{flow:?}");
+    assert!((flow.error / flow.value - 0.35 * force.error / force.value).abs() < 1e-12, "{flow:?}");
 }
 
 /// Channels that are so many spacings long hold more fluid at a coarser spacing, which is no error.

@@ -363,6 +363,29 @@ fn the_steady_gradient_is_the_slope(channel: Channel) {
     assert!((slope / exact - 1.0).abs() < 1e-5, "{slope} {exact}, {} steps, {:e}", found.steps, found.residual);
 }
 
+/// Over a wall that is far from flat, in few steps: the same state, with the same mass.
+#[test]
+fn newtons_method_finds_what_steps_find() {
+    drives(&channel(0.02)).into_iter().for_each(newton_finds_what_steps_find);
+}
+
+fn newton_finds_what_steps_find(channel: Channel) {
+    let fixed = Fixed::<f64>::new(channel).expect("a channel");
+    let ridges: Vec<f64> = (0..25).map(|k| 0.02 * (0.8 * f64::from(k)).cos()).collect();
+    let flat = vec![0.0; fixed.channel.columns];
+    let mut by_steps = fixed.state(&wall(&fixed, &ridges), &flat, &|_| 0.0);
+    let mut by_newton = by_steps.clone();
+    let (many, _) = fixed.settle(&mut by_steps, 20, 20, 1e-9, 100_000);
+    let (few, residual) = fixed.settle_by_newton(&mut by_newton, 1e-9).expect("a steady state");
+    println!("{many} steps or {few}");
+    assert!(residual <= 1e-9 && few < 100 && many > 10 * few, "{few} of {many} steps, {residual:e}");
+    let c = &fixed.channel;
+    for (k, (one, other)) in by_steps.iter().zip(&by_newton).enumerate() {
+        let size = if k / fixed.particles() == row::P { c.density * c.sound_speed } else { 1.0 };
+        assert!((one - other).abs() < 1e-7 * size, "{k}: {one} {other}");
+    }
+}
+
 /// The wall of 25 nodes at x = 0.26, 0.28 .. 0.74, linear between them and 0 from 0.24 and 0.76 on, at each column.
 fn wall(fixed: &Fixed<f64>, nodes: &[f64]) -> Vec<f64> {
     let c = &fixed.channel;

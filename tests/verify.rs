@@ -343,29 +343,35 @@ fn a_gain_survives_less_its_error() {
         finer: 0.5,
         order: 2.0,
         moves: false,
-        counts_other: true,
         reference_name: "the flat wall",
         checks,
         seconds: 1.0,
     };
     let mut checks = vec![
         finding(Check::AsOptimised, Ok((1.0, 1.02))),
-        finding(Check::FinerSpacing, Ok((2.0, 2.034))),
+        finding(Check::FinerSpacing, Ok((1.0, 1.017))),
         finding(Check::OtherMotion, Err("diverged".into())),
         finding(Check::TwiceTime, Ok((1.0, 1.021))),
     ];
     let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} is not {b}");
     let found = verified(checks.clone());
-    // The difference from half the spacing, 0.003, and 1.25 / (2^2 - 1) of it for the error that is left there.
+    // The gain is that at half the spacing, 0.017; 1.25 / (2^2 - 1) of the change from 0.02 is the error that is left there.
+    close(found.gain().unwrap(), 0.017);
     let parts = found.error().unwrap();
-    close(parts.discretisation, 0.003 * (1.0 + 1.25 / 3.0));
+    close(parts.discretisation, 0.003 * 1.25 / 3.0);
     close(parts.iteration, 0.001);
     close(parts.sampling, 0.0);
-    close(found.survives().unwrap(), 0.02 - parts.total());
+    close(found.survives().unwrap(), 0.017 - parts.total());
+    // Of the best wall's figure as optimised, the change from 1.02 to 1.017, and what is left.
+    let relative = 1.02 / 1.017 - 1.0;
+    close(found.error_of_best().unwrap().discretisation, 1.02 * relative * (1.0 + 1.25 / 3.0));
     assert!(found.is_proved() && found.failed().count() == 1);
-    // Particles of the other kind differ by more, and have another seed.
-    checks[2] = finding(Check::OtherMotion, Ok((1.0, 1.04)));
-    checks.push(finding(Check::OtherSeed, Ok((1.0, 1.0402))));
+    // Both figures changed alike: half of that counts.
+    checks[1] = finding(Check::FinerSpacing, Ok((1.2, 1.2 * 1.02)));
+    close(verified(checks.clone()).error().unwrap().discretisation, 0.5 * (1.0 - 1.0 / 1.2) * 1.25 / 3.0);
+    // Without a finer spacing particles of the other kind tell the error; they have another seed.
+    checks[1] = finding(Check::OtherMotion, Ok((1.0, 1.04)));
+    checks[2] = finding(Check::OtherSeed, Ok((1.0, 1.0402)));
     let parts = verified(checks.clone()).error().unwrap();
     close(parts.discretisation, 0.02);
     close(parts.sampling, 0.0002);

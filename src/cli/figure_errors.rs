@@ -114,7 +114,6 @@ impl Spacings {
     /// # Errors
     /// There is none down to an eighth of the scene's spacing.
     pub fn accurate(&mut self, loaded: &Loaded, accuracy: f64) -> anyhow::Result<Loaded> {
-        let order = order(&loaded.config);
         let (mut at, mut best) = (loaded.clone(), None::<Loaded>);
         let mut last = f64::NAN;
         for _ in 0..TRIES {
@@ -135,6 +134,7 @@ impl Spacings {
             if last <= accuracy && is_coarser {
                 best = Some(at.clone());
             }
+            let order = order(&at.config, &main.name, main.observed_order);
             let next = (dx * (AIM * accuracy / last).powf(1.0 / order)).max(FINEST * loaded.config.resolution.dx);
             // A larger one saves time only if it is much larger.
             if best.is_some() && next < 1.2 * dx {

@@ -223,7 +223,8 @@ fn text_of(verified: &Verified) -> String {
     if let (Some(gain), Some(error)) = (verified.gain(), verified.error()) {
         let proved = if verified.is_proved() { "proved" } else { "NOT PROVED" };
         let told = error.times(100.0).told();
-        text.push_str(&format!("gain: {} +- {:.2} % ({told}), {proved}\n", percent(gain), 100.0 * error.total()));
+        let at = if verified.is_finer() { " at the finer spacing" } else { "" };
+        text.push_str(&format!("gain: {} +- {:.2} %{at} ({told}), {proved}\n", percent(gain), 100.0 * error.total()));
     }
     if let (Some(value), Some(error)) = (verified.best(), verified.error_of_best()) {
         text.push_str(&format!("{symbol} of the best: {value:.6} +- {:.1e} ({})\n", error.total(), error.told()));

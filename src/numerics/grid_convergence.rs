@@ -22,11 +22,6 @@ pub fn at_finest(finest: Point, coarser: &[Point], order: f64) -> Option<f64> {
     coarser.map(estimate).reduce(f64::max).map(|error| SAFETY * error)
 }
 
-/// The error at `point`, given the same at a finer spacing: the difference, and the error that the finer one has by [`at_finest`].
-pub fn beside_finer(point: Point, finer: Point, order: f64) -> Option<f64> {
-    at_finest(finer, &[point], order).map(|error| error + (point.value - finer.value).abs())
-}
-
 /// The order that three spacings show; none where the figure does not approach a limit from one side.
 pub fn observed_order(finest: Point, coarser: &[Point]) -> Option<f64> {
     let mut coarser: Vec<Point> = coarser.to_vec();

@@ -3,12 +3,14 @@
 use super::channel::Channel;
 use super::ghosts::Ghosts;
 use super::grid::{self, Grid};
+use super::newton::Factors;
 use super::stencil::{self, Stencil};
 use super::work::Work;
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Pool;
 use candle_core::Tensor;
+use std::sync::OnceLock;
 
 /// Rows of a state `[6, N]`. Boundary points have a position; their other rows are zero.
 pub mod row {
@@ -34,6 +36,8 @@ pub struct Fixed<R> {
     pub(crate) outlet: usize,
     /// Buffers that steps reuse.
     pub(crate) works: Pool<Work<R>>,
+    /// See [`super::newton`]; made when they are first asked for.
+    pub(crate) reference: OnceLock<Option<Factors>>,
 }
 
 impl<R: Real> Fixed<R> {
@@ -74,6 +78,7 @@ impl<R: Real> Fixed<R> {
             open,
             outlet,
             works: Pool::default(),
+            reference: OnceLock::new(),
             channel,
         })
     }

@@ -31,7 +31,7 @@
 //! corrected moments).
 //!
 //! Each part of a step is a kernel in [`sweeps`], with its adjoint in [`adjoint`] and its form by candle's operators in
-//! [`composed`]; [`steady`] finds steady states and their gradients.
+//! [`composed`]; [`steady`] finds steady states and their gradients, [`newton`] faster where nothing is held.
 
 pub mod adjoint;
 pub mod channel;
@@ -42,6 +42,7 @@ pub mod grid;
 pub mod lattice;
 mod method;
 pub mod metric;
+pub mod newton;
 pub mod operator;
 pub mod steady;
 pub mod stencil;

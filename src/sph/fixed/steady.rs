@@ -12,9 +12,12 @@
 //!   block damps sound, and the Krylov space takes the few slow modes that remain.
 
 use super::lattice::{row, Fixed};
+use super::newton::Factors;
 use super::work::Work;
 use crate::numerics::interrupt::is_asked_here;
 use crate::numerics::lanes::Real;
+use candle_core::DType;
+use std::cell::RefCell;
 
 /// The gradient of a quantity of a steady state.
 #[derive(Debug, Clone)]
@@ -26,6 +29,9 @@ pub struct SteadyGradient {
     /// Residual of the equation for lambda, relative to its right-hand side.
     pub residual: f64,
 }
+
+/// The residual of a gradient in double precision, with the factors of a step.
+const EXACT: f64 = 1e-10;
 
 /// How the equation for lambda is solved.
 #[derive(Debug, Clone, Copy)]
@@ -79,11 +85,16 @@ impl<R: Real> Fixed<R> {
         flow[..row::U * n].fill(R::default());
         // b_m = sum of (A^T)^k b, k < m.
         let b = solve.project(flow).0;
-        let mut right = b.clone();
-        for _ in 1..options.block {
-            right = solve.step(&right, Some(&b));
-        }
-        let (lambda, residual) = solve.gmres(&right, options);
+        let (lambda, residual) = match solve.by_factors(&b, options) {
+            Some(found) => found,
+            None => {
+                let mut right = b.clone();
+                for _ in 1..options.block {
+                    right = solve.step(&right, Some(&b));
+                }
+                solve.gmres(&right, options)
+            }
+        };
         // One more step with the walls gives (dF/dwalls)^T lambda and the multiple of w that remains.
         let (steps, scale) = (solve.steps + 1, solve.mass_scale());
         let mut last = vec![R::default(); state.len()];
@@ -106,8 +117,29 @@ impl<R: Real> Fixed<R> {
     /// steps and the residual. Blocks of steps are accelerated by Anderson's (1965) method with `depth` previous blocks
     /// (0: plain steps). Mass is conserved, because averages of states of equal mass have that mass.
     pub fn settle(&self, state: &mut Vec<R>, block: usize, depth: usize, tolerance: f64, most: usize) -> (usize, f64) {
-        let mut work = self.work();
-        let (mut from, mut next) = (state.clone(), state.clone());
+        let (mut work, mut next) = (self.work(), state.clone());
+        let found = self.accelerated(state, depth, tolerance, most, &mut |state| {
+            for _ in 0..block.max(1) {
+                self.forward(state, &mut next, &mut work);
+                std::mem::swap(state, &mut next);
+            }
+            (block.max(1), self.residual(&next, state))
+        });
+        self.done(work);
+        found
+    }
+
+    /// Repeats `advance`, which returns the steps that it took and their residual, until that is at most `tolerance`, or for `most` steps, with
+    /// Anderson's acceleration.
+    pub(super) fn accelerated(
+        &self,
+        state: &mut Vec<R>,
+        depth: usize,
+        tolerance: f64,
+        most: usize,
+        advance: &mut dyn FnMut(&mut Vec<R>) -> (usize, f64),
+    ) -> (usize, f64) {
+        let mut from = state.clone();
         let (mut steps, mut residual) = (0, f64::INFINITY);
         // Differences between the ends of blocks, and between their increments.
         let (mut ends, mut ways) = (Vec::<Vec<R>>::new(), Vec::<Vec<R>>::new());
@@ -116,12 +148,9 @@ impl<R: Real> Fixed<R> {
         let sizes = self.sizes().map(|size| 1.0 / size.max(1e-300));
         while steps < most && !is_asked_here() {
             from.copy_from_slice(state);
-            for _ in 0..block.max(1) {
-                self.forward(state, &mut next, &mut work);
-                std::mem::swap(state, &mut next);
-            }
-            steps += block.max(1);
-            residual = self.residual(&next, state);
+            let found = advance(state);
+            steps += found.0;
+            residual = found.1;
             if residual <= tolerance || !residual.is_finite() {
                 break;
             }
@@ -160,7 +189,6 @@ impl<R: Real> Fixed<R> {
                 bases.push((way, end));
             }
         }
-        self.done(work);
         (steps, residual)
     }
 
@@ -233,6 +261,24 @@ impl<'a, R: Real> Solve<'a, R> {
 
     fn product(&self, a: &[R], b: &[R]) -> f64 {
         self.fixed.weighted(&self.sizes, a, b)
+    }
+
+    /// Solves lambda = A^T lambda + b with the factors of a step, and returns the residual relative to b; none where there are no factors, or
+    /// where they do not help.
+    fn by_factors(&mut self, b: &[R], options: &SteadyOptions) -> Option<(Vec<R>, f64)> {
+        let fixed = self.fixed;
+        let reference = fixed.reference()?;
+        let tolerance = if R::DTYPE == DType::F64 { options.tolerance.min(EXACT) } else { options.tolerance };
+        let (state, mass) = (self.state, self.mass.clone());
+        let this = RefCell::new(self);
+        let step = |lambda: &[R]| this.borrow_mut().step(lambda, None);
+        let solved = |factors: &Factors| fixed.adjoint_by(factors, (b, &mass), tolerance, &step);
+        let found = solved(reference).or_else(|| solved(&fixed.factors(state).ok()?))?;
+        let product = this.borrow_mut().step(&found, Some(b));
+        let rest: Vec<R> = product.iter().zip(&found).map(|(a, b)| *a - *b).collect();
+        let this = this.into_inner();
+        let residual = (this.product(&rest, &rest) / this.product(b, b).max(f64::MIN_POSITIVE)).sqrt();
+        Some((found, residual))
     }
 
     /// Solves lambda = (A^T)^m lambda + `right`, and returns the residual relative to that of lambda = `right`.
