@@ -84,7 +84,7 @@ def cpu_of(pid):
 
 
 def run(command, one_core=False):
-    """Runs a command on one thread: code, output lines with the processor seconds at which each came, errors, processor seconds, seconds by the clock."""
+    """Runs a command on one thread: code, output as (processor seconds so far, seconds by the clock, line), errors, processor seconds, seconds by the clock."""
     def limits():
         resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 5))
         if one_core:
@@ -93,7 +93,7 @@ def run(command, one_core=False):
     with tempfile.TemporaryFile("w+") as errors:
         child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT, env={**os.environ, **ONE_THREAD}, preexec_fn=limits)
         for line in child.stdout:
-            lines.append((cpu_of(child.pid), line.rstrip()))
+            lines.append((cpu_of(child.pid), time.perf_counter() - clock, line.rstrip()))
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
         errors.seek(0)
@@ -114,7 +114,7 @@ def measured(command, errors, one_core=False):
     row = {"seconds": seconds, "wall": wall, "start": None, "compile": None, "errors": {}}
     if code != 0:
         return {**row, "failed": failure(code, complaint)}
-    found = json.loads(lines[-1][1])
+    found = json.loads(lines[-1][-1])
     row |= {"start": found["start"], "compile": found.get("compile"), "solver": found.get("solver"), "unknowns": found.get("unknowns")}
     try:
         return {**row, "errors": errors(found)}
@@ -216,8 +216,8 @@ class Race:
 
         def read(folder, lines):
             """Seconds are those until the first line of an epoch, which has Q and the norm of its gradient."""
-            seconds = next(seconds for seconds, line in lines if line.startswith("epoch"))
-            return {"seconds": seconds, "errors": errors([-g for g in tensor(folder, "l-bfgs-b.gradient")[0]])}
+            seconds, wall = next((seconds, wall) for seconds, wall, line in lines if line.startswith("epoch"))
+            return {"seconds": seconds, "wall": wall, "errors": errors([-g for g in tensor(folder, "l-bfgs-b.gradient")[0]])}
         fixed, moving, standard = (6, 10, 15, 20), (6, 10, 15, 20), (10,)
         for method, search, name, all_rows in (("consistent", "fixed", FINE[0], fixed), ("consistent", "scene", FINE[1], moving), ("standard", "scene", FINE[2], standard)):
             for rows in self.some(all_rows):
@@ -244,8 +244,9 @@ class Race:
 
         def read(folder, lines):
             walls = tensor(folder, "history.offsets")
-            points = [(seconds, float(line.split(" Q ")[1].split()[0])) for seconds, line in lines if line.startswith("epoch")]
-            return path([(seconds, q, wall) for (seconds, q), wall in zip(points, walls)])
+            points = [(seconds, float(line.split(" Q ")[1].split()[0])) for seconds, _, line in lines if line.startswith("epoch")]
+            wall = max(wall for _, wall, line in lines if line.startswith("epoch"))
+            return {"wall": wall, **path([(seconds, q, one) for (seconds, q), one in zip(points, walls)])}
         for search, name, all_rows in (("fixed", FINE[0], (6, 10, 15, 20)), ("scene", FINE[1], (6, 10))):
             for rows in self.some(all_rows, 2 if search == "fixed" else 0):
                 sets = {"optimise.search": search, "resolution.dx": 0.2 / rows, "design.nodes": json.dumps(self.sharp.NODES.tolist())}
@@ -254,7 +255,7 @@ class Race:
         def by_elements(h):
             code, lines, complaint, seconds, wall = run([sys.executable, os.path.join(HERE, "user_fem.py"), "optimise", "--h", str(h)])
             row = {"seconds": seconds, "wall": wall, "compile": None, "start": None, "errors": {}}
-            points = [json.loads(line) for _, line in lines if line.startswith("{")]
+            points = [json.loads(line) for *_, line in lines if line.startswith("{")]
             if code != 0 and not points:
                 return {**row, "failed": failure(code, complaint)}
             points, start = [p for p in points if "q" in p], points[-1].get("start")

@@ -54,10 +54,10 @@ def draw(question, rows, folder):
             axis.set_title(f"{title}: {name}" if count == 1 or axis is axes[0][0] else name, loc="left", fontsize=12)
         axes[0][0].set_ylabel("relative error")
     for axis in axes[0]:
-        axis.set_xlabel("processor seconds of the whole command, one thread")
         axis.grid(True, which="major", color="#e6e6e6", linewidth=0.8)
         axis.set_axisbelow(True)
-    figure.tight_layout()
+    figure.supxlabel("processor seconds, one thread, with start-up", fontsize=11)
+    figure.tight_layout(pad=0.6)
     figure.canvas.draw()
     for axis, some in zip(axes[0], ends):
         label(figure, axis, some)
@@ -73,7 +73,7 @@ def points(axis, question, key, rows):
     floor, ends = FLOOR.get(question, 0.0), []
     for name, some in of_contestants(rows):
         colour, marker, line = LOOKS[name]
-        found = sorted((row["seconds"], max(row["errors"][key], floor)) for row in some if row["errors"].get(key) is not None)
+        found = [(row["seconds"], max(row["errors"][key], floor)) for row in some if row["errors"].get(key) is not None]
         found = [(x, y) for x, y in found if y <= ROOF]
         if not found:
             continue
@@ -121,7 +121,7 @@ def label(figure, axis, ends):
                 text.set_ha(ha)
                 text.set_va("center")
                 box = text.get_window_extent(renderer)
-                wrong = 40 * sum(box.overlaps(other) for other in taken) + sum(box.x0 - 3 < x < box.x1 + 3 and box.y0 - 2 < y < box.y1 + 2 for x, y in dots)
+                wrong = 40 * sum(box.overlaps(other) for other in taken) + sum(box.x0 - 5 < x < box.x1 + 5 and box.y0 - 6 < y < box.y1 + 6 for x, y in dots)
                 wrong += 40 * (box.x1 > frame.x1 + 6 or box.x0 < frame.x0 or box.y0 < frame.y0 or box.y1 > frame.y1 + 4)
                 score = wrong + 0.2 * k + 0.02 * (abs(dx) + abs(dy))
                 if best is None or score < best[0]:
