@@ -64,7 +64,8 @@ class Kept:
         if key not in self.all["rows"]:
             self.all["rows"][key] = {"question": question, "contestant": contestant, "at": at, **measure()}
             self.write()
-        row = self.all["rows"][key]
+        # At the end, so that rows come in the order of the questions.
+        row = self.all["rows"][key] = self.all["rows"].pop(key)
         what = row.get("failed") or "  ".join(f"{name} {value:.2e}" for name, value in row["errors"].items() if value is not None)
         print(f"{question}  {contestant:<30} {at:<14} {row['seconds']:8.2f} s   {what}", flush=True)
         return row
@@ -155,6 +156,8 @@ class Race:
                 words += ["--set", f"{key}={value}"]
             code, lines, complaint, seconds, wall = run(words)
             row = {"seconds": seconds, "wall": wall, "start": self.start, "compile": None, "errors": {}}
+            if code != 0:
+                row["note"] = failure(code, complaint)
             try:
                 return {**row, **read(os.path.join(folder, "run"), lines)}
             except (OSError, StopIteration, KeyError):
@@ -232,21 +235,20 @@ class Race:
     def c(self):
         """The whole optimisation."""
         def path(points):
-            """Of (seconds, their own Q, wall): the true gain of the best wall so far, over time."""
-            best, found = -math.inf, []
-            for seconds, q, wall in points:
-                if q > best:
-                    best = q
+            """Of (seconds, loss, wall): the true gain of the wall with the least loss so far, over time."""
+            best, found = math.inf, []
+            for seconds, loss, wall in points:
+                if loss < best:
+                    best = loss
                     found.append([seconds, self.gain(wall)])
             at = lambda share: next((seconds for seconds, gain in found if gain >= share * POSSIBLE), None)
             return {"seconds": points[-1][0], "path": found, "evaluations": len(points),
                     "errors": {"left": 1 - max(gain for _, gain in found) / POSSIBLE, **{f"to {s} %": at(s / 100) for s in (50, 90, 99)}}}
 
         def read(folder, lines):
-            walls = tensor(folder, "history.offsets")
-            points = [(seconds, float(line.split(" Q ")[1].split()[0])) for seconds, _, line in lines if line.startswith("epoch")]
-            wall = max(wall for _, wall, line in lines if line.startswith("epoch"))
-            return {"wall": wall, **path([(seconds, q, one) for (seconds, q), one in zip(points, walls)])}
+            points = [(seconds, wall) for seconds, wall, line in lines if line.startswith("epoch")]
+            losses, walls = tensor(folder, "history.loss")[0], tensor(folder, "history.offsets")
+            return {"wall": points[-1][1], **path([(seconds, *of) for (seconds, _), *of in zip(points, losses, walls)])}
         for search, name, all_rows in (("fixed", FINE[0], (6, 10, 15, 20)), ("scene", FINE[1], (6, 10))):
             for rows in self.some(all_rows, 2 if search == "fixed" else 0):
                 sets = {"optimise.search": search, "resolution.dx": 0.2 / rows, "design.nodes": json.dumps(self.sharp.NODES.tolist())}
@@ -259,7 +261,7 @@ class Race:
             if code != 0 and not points:
                 return {**row, "failed": failure(code, complaint)}
             points, start = [p for p in points if "q" in p], points[-1].get("start")
-            return {**row, **path([(p["seconds"], p["q"], p["wall"]) for p in points]), "start": start}
+            return {**row, **path([(p["seconds"], p["loss"], p["wall"]) for p in points]), "start": start}
         for h in self.some((0.04, 0.02, 0.01), 1):
             self.kept.of("c", FE, f"h {h}", lambda: by_elements(h))
 

@@ -199,8 +199,9 @@ def optimise(options):
         steps = np.diff(offsets)
         g = -of.gradient() + 2 * options.smoothing * (np.r_[0, steps] - np.r_[steps, 0])
         count[0] += 1
-        print(json.dumps({"seconds": time.process_time(), "q": q, "wall": offsets.tolist()}), flush=True)
-        return (-q + options.smoothing * (steps ** 2).sum()) / flat[0], g / flat[0]
+        value = -q + options.smoothing * (steps ** 2).sum()
+        print(json.dumps({"seconds": time.process_time(), "q": q, "loss": value, "wall": offsets.tolist()}), flush=True)
+        return value / flat[0], g / flat[0]
 
     limit = [(-options.bound, options.bound)] * len(NODES)
     found = minimize(loss, 0 * NODES, jac=True, method="L-BFGS-B", bounds=limit, options={"maxiter": 40, "ftol": 1e-7, "gtol": 1e-6})
