@@ -11,11 +11,11 @@ c  the whole optimisation from a flat wall: what the walls truly gain (channel_f
 d  the velocity of Taylor and Green's vortices at half of their life, nu 0.05 and 0.005
 e  drag and lift of a cylinder in a channel (data/scenes/schaefer-turek-1.toml)
 
-Each point is one process with one thread. What counts is its processor time (user and system), with start-up and compiling, so that other work on the machine
-changes little. Results go to runs/peers/time-error.json, where a run goes on that was stopped; delete the file to measure anew. (Rows of hydrograd are measured
-again when the program is another one.) The table of all rows is runs/peers/time-error.md; pictures are data/pictures/time-error-a.png to -e.png, with --quick
-in runs/peers. All of it takes about a quarter of an hour, --quick two minutes. JAX-SPH runs in the environment that scripts/peers/run.sh makes
-(HYDROGRAD_PEERS names its folder) and is left out where there is none. `python3 scripts/figures.py time-error` writes the table of the page.
+Each point is one process with one thread. What counts is its processor time (user and system), with start-up and compiling, so that other work
+on the machine changes little. Results go to runs/peers/time-error.json, where a run goes on that was stopped; delete the file to measure anew.
+(Rows of hydrograd are measured again when the program is another one.) The table of all rows is runs/peers/time-error.md; pictures are
+data/pictures/time-error-a.png to -e.png, with --quick in runs/peers. All of it takes about a quarter of an hour, --quick two minutes. JAX-SPH runs
+in the environment that scripts/peers/run.sh makes (HYDROGRAD_PEERS names its folder) and is left out where there is none. `python3 scripts/figures.py time-error` writes the table of the page.
 """
 import argparse
 import csv
@@ -38,7 +38,7 @@ OUT = os.path.join(ROOT, "runs/peers")
 PATH = os.path.join(OUT, "time-error.json")
 WALL, POSSIBLE = "sin1:0.02", 0.0163
 DRAG, LIFT = 5.57953523384, 0.010618948146
-FINE = ("fixed particles", "moving particles", "standard SPH")
+HYDROGRAD = ("fixed particles", "moving particles", "standard SPH")
 FE, GRADED, JAX = "finite elements", "finite elements, graded mesh", "JAX-SPH"
 # No process may take more processor seconds.
 LIMIT = 240
@@ -57,7 +57,7 @@ class Kept:
                 self.all = json.load(file)
         if self.all.get("program") != digest:
             self.all["program"] = digest
-            self.all["rows"] = {key: row for key, row in self.all["rows"].items() if row["contestant"].startswith("finite") or row["contestant"] == JAX}
+            self.all["rows"] = {key: row for key, row in self.all["rows"].items() if row["contestant"] in (FE, GRADED, JAX)}
 
     def of(self, question, contestant, at, measure):
         key = f"{question} | {contestant} | {at}"
@@ -85,14 +85,15 @@ def cpu_of(pid):
 
 
 def run(command, one_core=False):
-    """Runs a command on one thread: code, output as (processor seconds so far, seconds by the clock, line), errors, processor seconds, seconds by the clock."""
+    """Runs a command on one thread: code, output as (processor seconds so far, seconds by the clock, line), errors, and both kinds of seconds."""
     def limits():
         resource.setrlimit(resource.RLIMIT_CPU, (LIMIT, LIMIT + 5))
         if one_core:
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     clock, lines = time.perf_counter(), []
     with tempfile.TemporaryFile("w+") as errors:
-        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT, env={**os.environ, **ONE_THREAD}, preexec_fn=limits)
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, cwd=ROOT, env={**os.environ, **ONE_THREAD},
+                                 preexec_fn=limits)
         for line in child.stdout:
             lines.append((cpu_of(child.pid), time.perf_counter() - clock, line.rstrip()))
         _, status, used = os.wait4(child.pid, 0)
@@ -194,7 +195,7 @@ class Race:
     def a(self):
         """Q of a curved wall."""
         error = lambda found: {"Q": abs(found["q"] / self.q - 1)}
-        for method, name in (("fixed", FINE[0]), ("consistent", FINE[1]), ("standard", FINE[2])):
+        for method, name in (("fixed", HYDROGRAD[0]), ("consistent", HYDROGRAD[1]), ("standard", HYDROGRAD[2])):
             for rows in self.some((8 if method == "standard" else 6, 10, 20, 30)):
                 sets = {"method.name": method, "resolution.dx": 0.2 / rows, **self.wall_sets(self.wall)}
                 read = lambda folder, lines: {"errors": error(loaded(folder))}
@@ -221,10 +222,13 @@ class Race:
             """Seconds are those until the first line of an epoch, which has Q and the norm of its gradient."""
             seconds, wall = next((seconds, wall) for seconds, wall, line in lines if line.startswith("epoch"))
             return {"seconds": seconds, "wall": wall, "errors": errors([-g for g in tensor(folder, "l-bfgs-b.gradient")[0]])}
-        fixed, moving, standard = (6, 10, 15, 20), (6, 10, 15, 20), (10,)
-        for method, search, name, all_rows in (("consistent", "fixed", FINE[0], fixed), ("consistent", "scene", FINE[1], moving), ("standard", "scene", FINE[2], standard)):
+        fixed, moving, standard = HYDROGRAD
+        usual = (6, 10, 15, 20)
+        cases = (("consistent", "fixed", fixed, usual), ("consistent", "scene", moving, usual), ("standard", "scene", standard, (10,)))
+        for method, search, name, all_rows in cases:
             for rows in self.some(all_rows):
-                sets = {"method.name": method, "optimise.search": search, "optimise.smoothing": 0, "resolution.dx": 0.2 / rows, **self.wall_sets(self.wall)}
+                sets = {"method.name": method, "optimise.search": search, "optimise.smoothing": 0, "resolution.dx": 0.2 / rows,
+                        **self.wall_sets(self.wall)}
                 self.kept.of("b", name, f"dx 1/{5 * rows}", lambda: self.hydrograd(["optimize", "--no-verify", "--epochs", "1"], sets, read))
         of = lambda found: errors(found["gradient"])
         for h in self.some((0.04, 0.02, 0.01, 0.005)):
@@ -249,7 +253,7 @@ class Race:
             points = [(seconds, wall) for seconds, wall, line in lines if line.startswith("epoch")]
             losses, walls = tensor(folder, "history.loss")[0], tensor(folder, "history.offsets")
             return {"wall": points[-1][1], **path([(seconds, *of) for (seconds, _), *of in zip(points, losses, walls)])}
-        for search, name, all_rows in (("fixed", FINE[0], (6, 10, 15, 20)), ("scene", FINE[1], (6, 10))):
+        for search, name, all_rows in (("fixed", HYDROGRAD[0], (6, 10, 15, 20)), ("scene", HYDROGRAD[1], (6, 10))):
             for rows in self.some(all_rows, 2 if search == "fixed" else 0):
                 sets = {"optimise.search": search, "resolution.dx": 0.2 / rows, "design.nodes": json.dumps(self.sharp.NODES.tolist())}
                 self.kept.of("c", name, f"dx 1/{5 * rows}", lambda: self.hydrograd(["optimize", "--no-verify"], sets, read))
@@ -276,14 +280,14 @@ class Race:
 
             def read_fixed(folder, lines):
                 return {"errors": {name: vortices_error(folder, nu, end)}}
-            for derivatives, contestant in (("spectral", FINE[0]), ("fits", "fixed particles, fits")):
+            for derivatives, contestant in (("spectral", HYDROGRAD[0]), ("fits", "fixed particles, fits")):
                 for n in self.some((8, 16, 32, 64)):
                     with tempfile.NamedTemporaryFile("w", suffix=".toml") as scene:
                         scene.write(VORTICES)
                         scene.flush()
                         sets = {"fluid.viscosity": nu, "resolution.dx": 1 / n, "time.end": end, "method.derivatives": derivatives}
                         self.kept.of("d", contestant, f"{name}, {n}^2", lambda: self.hydrograd(["simulate", scene.name], sets, read_fixed))
-            for method, contestant in (("consistent", FINE[1]), ("standard", FINE[2])):
+            for method, contestant in (("consistent", HYDROGRAD[1]), ("standard", HYDROGRAD[2])):
                 for n in self.some((20, 32, 50, 100)):
                     sets = {"method.name": method, "resolution.dx": 1 / n, "flow.reynolds": 1 / nu, "time.end": end}
                     self.kept.of("d", contestant, f"{name}, {n}^2", lambda: self.hydrograd(["simulate", "taylor-green"], sets, read))
@@ -301,7 +305,7 @@ class Race:
             return {"errors": of(force[0] / 0.002, force[1] / 0.002)}
         scene = os.path.join(ROOT, "data/scenes/schaefer-turek-1.toml")
         for dx in self.some((0.02, 0.01, 0.005, 0.0025)):
-            self.kept.of("e", FINE[0], f"dx {dx}", lambda: self.hydrograd(["simulate", scene], {"resolution.dx": dx}, read))
+            self.kept.of("e", HYDROGRAD[0], f"dx {dx}", lambda: self.hydrograd(["simulate", scene], {"resolution.dx": dx}, read))
         for points, far in self.some(((20, 0.08), (40, 0.05), (80, 0.03), (160, 0.02))):
             error = lambda found: of(found["drag"], found["lift"])
             self.kept.of("e", FE, f"{points} edges", lambda: by_fem(["cylinder", "--points", points, "--far", far], error))

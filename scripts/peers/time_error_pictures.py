@@ -105,8 +105,14 @@ def paths(axis, rows):
     axis.set_ylim(-0.05, 1.8)
     for share in (0.5, 0.9, 0.99):
         axis.axhline(share * POSSIBLE, color="#999999", linewidth=0.8, linestyle=":")
-        axis.annotate(f"{100 * share:.0f} % of what is possible", (axis.get_xlim()[0], share * POSSIBLE), xytext=(4, -3), textcoords="offset points", va="top", fontsize=9, color="#777777")
+        axis.annotate(f"{100 * share:.0f} % of what is possible", (axis.get_xlim()[0], share * POSSIBLE), xytext=(4, -3), textcoords="offset points",
+                      va="top", fontsize=9, color="#777777")
     return ends
+
+
+# Where a name may stand beside a point: shift in points, alignment.
+PLACES = ((9, 0, "left"), (9, 9, "left"), (9, -9, "left"), (0, 12, "center"), (0, -13, "center"), (-9, 0, "right"), (-9, 10, "right"),
+          (-9, -10, "right"), (9, 18, "left"), (9, -18, "left"), (0, 24, "center"), (0, -26, "center"), (14, 30, "left"), (14, -30, "left"))
 
 
 def label(figure, axis, ends):
@@ -118,14 +124,14 @@ def label(figure, axis, ends):
         text = axis.annotate(name, found[-1], xytext=(0, 0), textcoords="offset points", color=colour, fontsize=10, fontweight="bold")
         best = None
         for k, point in enumerate(reversed(found)):
-            for dx, dy, ha in ((9, 0, "left"), (9, 9, "left"), (9, -9, "left"), (0, 12, "center"), (0, -13, "center"), (-9, 0, "right"), (-9, 10, "right"), (-9, -10, "right"),
-                               (9, 18, "left"), (9, -18, "left"), (0, 24, "center"), (0, -26, "center"), (14, 30, "left"), (14, -30, "left")):
+            for dx, dy, ha in PLACES:
                 text.xy = point
                 text.set_position((dx, dy))
                 text.set_ha(ha)
                 text.set_va("center")
                 box = text.get_window_extent(renderer)
-                wrong = 40 * sum(box.overlaps(other) for other in taken) + sum(box.x0 - 5 < x < box.x1 + 5 and box.y0 - 6 < y < box.y1 + 6 for x, y in dots)
+                wrong = sum(box.x0 - 5 < x < box.x1 + 5 and box.y0 - 6 < y < box.y1 + 6 for x, y in dots)
+                wrong += 40 * sum(box.overlaps(other) for other in taken)
                 wrong += 40 * (box.x1 > frame.x1 + 6 or box.x0 < frame.x0 or box.y0 < frame.y0 or box.y1 > frame.y1 + 4)
                 score = wrong + 0.2 * k + 0.02 * (abs(dx) + abs(dy))
                 if best is None or score < best[0]:
@@ -158,7 +164,7 @@ def shown_error(value):
         return "-"
     if value < 1e-9:
         return "rounding"
-    return f"{100 * value:.2g} %" if value < 0.995 else f"{100 * value:.0f} %" if value < 10 else f"{value:.0e} times" if value >= 10 else f"{value:.0e}"
+    return f"{100 * value:.2g} %" if value < 0.995 else f"{100 * value:.0f} %" if value < 10 else f"{value:.0e} times"
 
 
 def full_table(rows):
@@ -171,7 +177,7 @@ def full_table(rows):
                 error = lambda key, value: f"{key} {number(value)} s" if key.startswith("to ") else f"{key} {shown_error(value)}"
                 what = row.get("failed") or ", ".join(error(key, value) for key, value in row["errors"].items())
                 what += f" ({row['note']})" if row.get("note") and not row.get("failed") else ""
-                lines.append([question, name, row["at"], row.get("unknowns") or "", seconds("seconds"), seconds("wall"), seconds("start"), seconds("compile"), what])
+                lines.append([question, name, row["at"], row.get("unknowns") or "", *map(seconds, ("seconds", "wall", "start", "compile")), what])
     return table(["", "contestant", "resolution", "unknowns", "processor seconds", "by the clock", "of it start-up", "compiling", "errors"], lines)
 
 
@@ -187,8 +193,8 @@ def page_table(rows):
                 errors = ", ".join("failed" if row.get("failed") else shown_error(row["errors"][key]) for row in some)
                 at = ", ".join(row["at"].removeprefix(f"{key}, ") for row in some)
                 parts = [max((row.get(part) or 0 for row in some), default=0) for part in ("start", "compile")]
-                lines.append([f"{question}: {key}", name, at, ", ".join(number(row["seconds"]) for row in some), ", ".join(number(row["wall"]) for row in some),
-                              number(parts[0]) + (f" + {number(parts[1])}" if parts[1] else ""), errors])
+                seconds = [", ".join(number(row[key]) for row in some) for key in ("seconds", "wall")]
+                lines.append([f"{question}: {key}", name, at, *seconds, number(parts[0]) + (f" + {number(parts[1])}" if parts[1] else ""), errors])
         if question == "c":
             for name, some in of_contestants([row for row in rows if row["question"] == "c"]):
                 for row in some:
@@ -197,5 +203,6 @@ def page_table(rows):
                     else:
                         what = ", ".join(f"{share} %: {number(row['errors'][f'to {share} %'])} s" for share in (50, 90, 99)).replace("- s", "never")
                         what += f"; in the end {100 * (1 - row['errors']['left']):.1f} %" + (f" ({row['note']})" if row.get("note") else "")
-                    lines.append(["c: share of the gain", name, row["at"], number(row["seconds"]), number(row["wall"]), number(row.get("start")), what])
+                    seconds = [number(row.get(key)) for key in ("seconds", "wall", "start")]
+                    lines.append(["c: share of the gain", name, row["at"], *seconds, what])
     return table(["question", "contestant", "resolution", "processor seconds", "by the clock", "of it start-up (+ compiling)", "error"], lines)
