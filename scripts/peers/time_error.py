@@ -14,7 +14,7 @@ e  drag and lift of a cylinder in a channel (data/scenes/schaefer-turek-1.toml)
 Each point is one process with one thread. What counts is its processor time (user and system), with start-up and compiling, so that other work
 on the machine changes little. Results go to runs/peers/time-error.json, where a run goes on that was stopped; delete the file to measure anew.
 (Rows of hydrograd are measured again when the program is another one.) The table of all rows is runs/peers/time-error.md; pictures are
-data/pictures/time-error-a.png to -e.png, with --quick in runs/peers. All of it takes about a quarter of an hour, --quick two minutes. JAX-SPH runs
+data/pictures/time-error-a.png to -e.png, with --quick in runs/peers. All of it takes about a quarter of an hour, --quick two or three. JAX-SPH runs
 in the environment that scripts/peers/run.sh makes (HYDROGRAD_PEERS names its folder) and is left out where there is none. `python3 scripts/figures.py time-error` writes the table of the page.
 """
 import argparse
