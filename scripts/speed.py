@@ -1,4 +1,4 @@
-"""Figures of speed: `hydrograd bench`, and what scripts/peers/run.sh measured. Called by figures.py."""
+"""Figures of speed: `hydrograd bench`, and what scripts/peers/run.sh and time_error.py measured. Called by figures.py."""
 import json
 import os
 import subprocess
@@ -128,7 +128,7 @@ def bench_surrogate():
 def peers_rows(name):
     path = os.path.join(ROOT, "runs/peers", name)
     if not os.path.exists(path):
-        sys.exit(f"there is no {path}: run scripts/peers/run.sh first (--surrogate for the networks)")
+        sys.exit(f"there is no {path}: run scripts/peers/run.sh first (--surrogate for the networks; time_error.py for time-error)")
     return load(path)
 
 
@@ -165,5 +165,12 @@ def peers_surrogate():
                   "memory, MB, same order"], lines)
 
 
+def time_error():
+    """Of the rows of scripts/peers/time_error.py, a line for each question and contestant."""
+    sys.path.insert(0, os.path.join(ROOT, "scripts/peers"))
+    from time_error_pictures import page_table
+    return page_table(list(peers_rows("time-error.json")["rows"].values()))
+
+
 FIGURES = {"bench-kernels": bench_kernels, "bench-gradient": bench_gradient, "bench-formulations": bench_formulations, "bench-scaling": bench_scaling, "bench-plan": bench_plan,
-           "bench-surrogate": bench_surrogate, "peers": peers, "peers-surrogate": peers_surrogate}
+           "bench-surrogate": bench_surrogate, "peers": peers, "peers-surrogate": peers_surrogate, "time-error": time_error}

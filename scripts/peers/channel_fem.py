@@ -44,9 +44,11 @@ NODES = np.round(0.26 + 0.02 * np.arange(25), 6)
 def factorised(matrix):
     """A function that solves with the matrix: by MKL's Pardiso if there, else by SuperLU."""
     try:
-        from pypardiso import PyPardisoSolver
+        from pypardiso import PyPardisoSolver, ps
     except ImportError:
         return scipy.sparse.linalg.splu(matrix.tocsc()).solve
+    # Else each solver looks for the library in all folders of the environment, which takes half a second.
+    os.environ.setdefault("PYPARDISO_MKL_RT", ps.libmkl._name)
     solver = PyPardisoSolver()
     matrix = matrix.tocsr()
     matrix.sort_indices()
