@@ -4,6 +4,9 @@
     python3 scripts/figures.py pictures-slow        maps of stability and comparisons with other codes: an hour, and runs/peers/accuracy.json
     HYDROGRAD=path/to/hydrograd python3 ...         with another program than target/release/hydrograd
 
+Others are made where they are measured: time-error-a.png, time-error-b.png, time-error-c.png, time-error-d.png and time-error-e.png by
+scripts/peers/time_error.py.
+
 A picture carries the words of the drawing from which it was made (its SVG's, as a text chunk "words" of the PNG); the test `tutorial` compares
 them with those of a run. A browser makes the smaller copies: chromium, chromium-driver and python3-selenium of Debian
 (/usr/bin/python3 scripts/figures.py pictures).

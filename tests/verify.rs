@@ -55,7 +55,10 @@ fn checks(file: &Value) -> Vec<Value> {
     let parts = &file["gain_error_parts"];
     let error: f64 = ["discretisation", "iteration", "sampling"].iter().map(|part| number(&parts[part])).sum();
     assert_eq!(number(&file["gain_error"]), error);
-    assert_eq!(file["gain"], found[0]["gain"]);
+    // The gain is that of the finer spacing, if that could be run.
+    let finer = found.iter().find(|check| check["check"].as_str().unwrap().contains(" spacing ("));
+    let finer = finer.filter(|check| !check["gain"].is_null());
+    assert_eq!(file["gain"], finer.unwrap_or(&found[0])["gain"]);
     assert!((number(&file["gain_survives"]) - (number(&file["gain"]) - error)).abs() < 1e-15);
     assert_eq!(file["proved"], number(&file["gain_survives"]) > 0.0);
     found
@@ -349,26 +352,26 @@ fn a_gain_survives_less_its_error() {
     };
     let mut checks = vec![
         finding(Check::AsOptimised, Ok((1.0, 1.02))),
-        finding(Check::FinerSpacing, Ok((1.0, 1.017))),
+        finding(Check::FinerSpacing, Ok((1.0, 1.012))),
         finding(Check::OtherMotion, Err("diverged".into())),
         finding(Check::TwiceTime, Ok((1.0, 1.021))),
     ];
     let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} is not {b}");
     let found = verified(checks.clone());
-    // The gain is that at half the spacing, 0.017; 1.25 / (2^2 - 1) of the change from 0.02 is the error that is left there.
-    close(found.gain().unwrap(), 0.017);
+    // The gain is that at half the spacing, 0.012; 1.25 / (2^2 - 1) of the change from 0.02 is the error that is left there.
+    close(found.gain().unwrap(), 0.012);
     let parts = found.error().unwrap();
-    close(parts.discretisation, 0.003 * 1.25 / 3.0);
+    close(parts.discretisation, 0.008 * 1.25 / 3.0);
     close(parts.iteration, 0.001);
     close(parts.sampling, 0.0);
-    close(found.survives().unwrap(), 0.017 - parts.total());
-    // Of the best wall's figure as optimised, the change from 1.02 to 1.017, and what is left.
-    let relative = 1.02 / 1.017 - 1.0;
+    close(found.survives().unwrap(), 0.012 - parts.total());
+    // Of the best wall's figure as optimised, the change from 1.02 to 1.012, and what is left.
+    let relative = 1.02 / 1.012 - 1.0;
     close(found.error_of_best().unwrap().discretisation, 1.02 * relative * (1.0 + 1.25 / 3.0));
     assert!(found.is_proved() && found.failed().count() == 1);
-    // Both figures changed alike: half of that counts.
+    // Both figures changed alike: no less than a tenth of the gain.
     checks[1] = finding(Check::FinerSpacing, Ok((1.2, 1.2 * 1.02)));
-    close(verified(checks.clone()).error().unwrap().discretisation, 0.5 * (1.0 - 1.0 / 1.2) * 1.25 / 3.0);
+    close(verified(checks.clone()).error().unwrap().discretisation, 0.1 * 0.02);
     // Without a finer spacing particles of the other kind tell the error; they have another seed.
     checks[1] = finding(Check::OtherMotion, Ok((1.0, 1.04)));
     checks[2] = finding(Check::OtherSeed, Ok((1.0, 1.0402)));

@@ -134,7 +134,7 @@ impl Spacings {
             if last <= accuracy && is_coarser {
                 best = Some(at.clone());
             }
-            let order = order(&at.config, &main.name, main.observed_order);
+            let order = order(&at.config, &main.name);
             let next = (dx * (AIM * accuracy / last).powf(1.0 / order)).max(FINEST * loaded.config.resolution.dx);
             // A larger one saves time only if it is much larger.
             if best.is_some() && next < 1.2 * dx {

@@ -86,7 +86,8 @@ pub struct FigureError {
 }
 
 /// The orders with which figures of fixed particles in the plane converge: heat, which has root singularities where a wall's temperature
-/// jumps, and the flow. (Over the 51 walls of data/reference, from 6 to 12 rows: 1.9 and 2.9. Around shapes the flow's is not as sure.)
+/// jumps, and the flow between two walls. (Over the 51 walls of data/reference, from 6 to 12 rows: 1.9 and 2.9. Around shapes the flow's is not
+/// as sure.)
 const ORDER_OF_HEAT: f64 = 1.8;
 const ORDER_OF_FLOW: f64 = 3.0;
 
@@ -98,16 +99,14 @@ fn is_of_heat(config: &Config, figure: &str) -> bool {
         || is_objective && (config.scene.has_design() || config.initial.temperature.is_some())
 }
 
-/// The order at which a figure of a configuration converges with the spacing; `seen`: that which three spacings show.
-pub fn order(config: &Config, figure: &str, seen: Option<f64>) -> f64 {
+/// The order at which a figure of a configuration converges with the spacing.
+pub fn order(config: &Config, figure: &str) -> f64 {
     let facts = config.method.facts();
-    if facts.moves || config.dimension() != 2 {
-        return facts.order;
-    }
-    match (is_of_heat(config, figure), config.is_around_shapes()) {
-        (true, _) => ORDER_OF_HEAT,
-        (false, true) => seen.unwrap_or(facts.order).clamp(facts.order, ORDER_OF_FLOW),
-        (false, false) => ORDER_OF_FLOW,
+    match is_of_heat(config, figure) {
+        _ if facts.moves || config.dimension() != 2 => facts.order,
+        true => ORDER_OF_HEAT,
+        false if config.is_around_shapes() => facts.order,
+        false => ORDER_OF_FLOW,
     }
 }
 
@@ -173,11 +172,9 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
         if points.iter().all(|point| (point.value - value).abs() <= ROUNDING * value.abs()) {
             continue;
         }
-        let observed_order = observed_order(finest, &points);
-        let order = order(config, &name, observed_order);
-        let Some(discretisation) = at_finest(finest, &points, order) else { continue };
+        let Some(discretisation) = at_finest(finest, &points, order(config, &name)) else { continue };
         let parts = Parts { discretisation, ..of_window(config, record, &name, value) };
-        found.push(FigureError { observed_order, error: 0.0, name, value, parts });
+        found.push(FigureError { observed_order: observed_order(finest, &points), error: 0.0, name, value, parts });
     }
     let relative = |one: &FigureError| one.parts.discretisation / one.value.abs();
     // A figure that is zero but for rounding, as the velocity of a slab at rest, has no relative error.

@@ -111,11 +111,12 @@ impl Finding {
     }
 }
 
-/// How much of the relative change of one wall's figure with the spacing counts where another's, or their gain, changes less: they may agree
-/// by chance.
+/// How much of the relative change of one wall's figure with the spacing counts where the other's changes less: it may do so by chance.
 const ALIKE: f64 = 0.5;
+/// The least error of a gain, in the gain: that it hardly changes with the spacing may be chance.
+const LEAST: f64 = 0.1;
 /// The order of gains over walls of a channel, whose kinks lie between particles in another way at each spacing, so that changes are not smooth. (With
-/// the second order half of the true errors of the 51 walls of data/reference are larger than those that it finds, with the first a twentieth.)
+/// the second order half of the true errors of the 51 walls of data/reference are larger than those that it finds, with the first, and a tenth of the gain at least, a twenty-fifth.)
 const ORDER_OF_WALLS: f64 = 1.0;
 
 impl Verified {
@@ -167,16 +168,16 @@ impl Verified {
 
     /// The error of the gain.
     ///
-    /// * By the spacing: what is left at the finer one, from the change of the gain ([`at_finest`]). Errors that both walls have cancel in it;
-    ///   but no less than half of that of either wall's figure counts, for they may have cancelled by chance. Without a finer spacing
-    ///   the difference from particles of the other kind.
+    /// * By the spacing: what is left at the finer one, from the change of the gain ([`at_finest`]), and no less than a tenth of it.
+    ///   Errors that both walls have cancel. Without a finer spacing, the difference from particles of the other kind.
     /// * By the distance from the steady state: the change over twice the time.
     /// * By the sampling: the change with another seed, of moving particles.
     ///
     /// None if neither a finer spacing nor other particles were tried.
     pub fn error(&self) -> Option<Parts> {
-        let change = self.changes().map(|[gain, reference, best]| gain.max(ALIKE * reference.max(best)));
-        self.parts(change.zip(self.left()).map(|(change, left)| left * change), &Finding::gain)
+        let change = self.changes().map(|[gain, ..]| gain);
+        let error = change.zip(self.left()).zip(self.gain());
+        self.parts(error.map(|((change, left), gain)| (left * change).max(LEAST * gain.abs())), &Finding::gain)
     }
 
     /// The best wall's figure as optimised.
@@ -289,7 +290,7 @@ impl Verification {
         Ok(Verified {
             figure,
             finer: config.finer_spacing() / config.resolution.dx,
-            order: if config.scene.has_design() { ORDER_OF_WALLS } else { order(config, "objective", None) },
+            order: if config.scene.has_design() { ORDER_OF_WALLS } else { order(config, "objective") },
             moves: config.method.facts().moves,
             reference_name: self.reference_name,
             checks,

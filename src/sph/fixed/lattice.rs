@@ -1,9 +1,9 @@
 //! Particles on a lattice that is mapped to the space between two walls: positions, areas, masses.
 
 use super::channel::Channel;
+use super::factors::Factors;
 use super::ghosts::Ghosts;
 use super::grid::{self, Grid};
-use super::newton::Factors;
 use super::stencil::{self, Stencil};
 use super::work::Work;
 use crate::error::BadInput;

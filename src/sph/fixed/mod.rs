@@ -37,6 +37,7 @@ pub mod adjoint;
 pub mod channel;
 pub mod composed;
 mod drive;
+pub mod factors;
 pub mod ghosts;
 pub mod grid;
 pub mod lattice;

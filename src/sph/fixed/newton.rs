@@ -18,6 +18,7 @@
 //! Morrison's formula.
 
 use super::channel::Channel;
+use super::factors::{Factors, Kicked};
 use super::grid;
 use super::lattice::{row, Fixed};
 use crate::numerics::interrupt::is_asked_here;
@@ -40,25 +41,6 @@ const RENEWALS: usize = 3;
 const ADJOINT: usize = 60;
 /// Iterations whose secants accelerate the next one.
 const DEPTH: usize = 8;
-
-/// L and U of K.
-#[derive(Debug)]
-pub struct Factors {
-    flow: SparseLu,
-    heat: SparseLu,
-    /// K^-1 of the pinned pressure.
-    idle: Vec<f64>,
-    drive: Option<Kicked>,
-}
-
-/// What a drive adds to a step.
-#[derive(Debug)]
-struct Kicked {
-    /// a, of flow and temperature, and K^-1 a.
-    by_kick: [(Vec<f64>, Vec<f64>); 2],
-    /// d, of the flow, and K^-T d.
-    of_kick: [Vec<f64>; 2],
-}
 
 /// x += factor * y
 fn add_times(x: &mut [f64], factor: f64, y: &[f64]) {

@@ -11,8 +11,8 @@
 //!   (GMRES, Saad and Schultz 1986) on blocks of steps, lambda = (A^T)^m lambda + b_m, need a fraction of the steps: a
 //!   block damps sound, and the Krylov space takes the few slow modes that remain.
 
+use super::factors::Factors;
 use super::lattice::{row, Fixed};
-use super::newton::Factors;
 use super::work::Work;
 use crate::numerics::interrupt::is_asked_here;
 use crate::numerics::lanes::Real;
