@@ -170,7 +170,7 @@ fn solved<A: Around>(
 
 fn found_in_time(loaded: &Loaded, kept: &Kept, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
     let config = &loaded.config;
-    if config.config.unsteady().is_none() {
+    if config.unsteady().is_none() {
         return Err(BadInput::at("method.flow", "unsteady() of a scene with a steady flow")
             .allowed("method.flow = \"unsteady\"")
             .advice("method.flow=unsteady")
