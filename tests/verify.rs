@@ -362,7 +362,8 @@ fn a_gain_survives_less_its_error() {
     close(found.gain().unwrap(), 0.012);
     let parts = found.error().unwrap();
     close(parts.discretisation, 0.008 * 1.25 / 3.0);
-    close(parts.iteration, 0.001);
+    // Twice the change over twice the time.
+    close(parts.iteration, 0.002);
     close(parts.sampling, 0.0);
     close(found.survives().unwrap(), 0.012 - parts.total());
     // Of the best wall's figure as optimised, the change from 1.02 to 1.012, and what is left.

@@ -115,6 +115,8 @@ impl Finding {
 const ALIKE: f64 = 0.5;
 /// The least error of a gain, in the gain: that it hardly changes with the spacing may be chance.
 const LEAST: f64 = 0.1;
+/// The distance from the steady state in the change over twice the time, as if half of that distance were left then.
+const LATER: f64 = 2.0;
 /// The order of gains over walls of a channel, whose kinks lie between particles in another way at each spacing, so that changes are not smooth. (With
 /// the second order half of the true errors of the 51 walls of data/reference are larger than those that it finds, with the first, and a tenth of the gain at least, a twenty-fifth.)
 const ORDER_OF_WALLS: f64 = 1.0;
@@ -161,7 +163,7 @@ impl Verified {
         let seed = self.of(Check::OtherSeed, value).zip(sampled);
         Some(Parts {
             discretisation: discretisation.or_else(|| other.map(|other| (other - here).abs()))?,
-            iteration: longer.map_or(0.0, |longer| (longer - here).abs()),
+            iteration: longer.map_or(0.0, |longer| LATER * (longer - here).abs()),
             sampling: seed.map_or(0.0, |(one, other)| (one - other).abs()),
         })
     }
@@ -170,7 +172,7 @@ impl Verified {
     ///
     /// * By the spacing: what is left at the finer one, from the change of the gain ([`at_finest`]), and no less than a tenth of it.
     ///   Errors that both walls have cancel. Without a finer spacing, the difference from particles of the other kind.
-    /// * By the distance from the steady state: the change over twice the time.
+    /// * By the distance from the steady state: twice the change over twice the time.
     /// * By the sampling: the change with another seed, of moving particles.
     ///
     /// None if neither a finer spacing nor other particles were tried.
