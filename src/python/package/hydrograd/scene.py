@@ -474,7 +474,7 @@ class Scene:
             progress: as for :meth:`value_and_gradient`.
 
         Returns:
-            What ``verification.json`` has: ``verification`` (a list of checks, each with both objectives and the ``gain``), ``gain``,
+            What ``verification.json`` has: ``verification`` (a list of checks, each with both objectives and the ``gain``), ``gain`` at the finer spacing,
             ``gain_error`` with its parts ``gain_error_parts``, ``gain_survives``, the gain less its error, and whether it is ``proved``;
             ``q_error``, the error of the best design's objective.
         """
