@@ -131,7 +131,9 @@ fn optimize_shows_what_its_files_say() {
     let survives = format!("{:+.2}\u{a0}%", 100.0 * found["gain_survives"].as_f64().unwrap());
     let (_, lead) = text.split_once("<h1>").unwrap();
     let lead = lead.split("</h1>").next().unwrap();
-    assert!(lead.contains("gain of run over the first design") && lead.contains("surviv"), "{lead}");
+    // So short a run is far from steady, and its gain may not be proved.
+    let told = if found["proved"] == true { "surviv" } else { "is proved: less its error" };
+    assert!(lead.contains("gain of run over the first design") && lead.contains(told), "{lead}");
     assert!(lead.contains(&survives), "{lead}");
     assert!(text.contains(">Q reference<") && !text.contains(">error<"), "{text}");
 }
