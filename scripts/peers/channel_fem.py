@@ -41,8 +41,8 @@ HOT, HOT_FROM, HOT_TO, INLET, OUTLET, SECTION = 0.23, 0.25, 0.75, 0.06, 0.94, 0.
 NODES = np.round(0.26 + 0.02 * np.arange(25), 6)
 
 
-def factorised(matrix):
-    """A function that solves with the matrix: by MKL's Pardiso if there, else by SuperLU."""
+def factorised(matrix, often=False):
+    """A function that solves with the matrix, once or `often`: by MKL's Pardiso if there, else by SuperLU."""
     try:
         from pypardiso import PyPardisoSolver, ps
     except ImportError:
@@ -56,7 +56,8 @@ def factorised(matrix):
 
     def solve(rhs):
         found = solver.solve(matrix, rhs)
-        solver.free_memory(everything=True)
+        if not often:
+            solver.free_memory(everything=True)
         return found
     return solve
 

@@ -21,7 +21,6 @@ import tomllib
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import scipy.sparse as sparse
-import scipy.sparse.linalg
 from skfem import Basis, BilinearForm, ElementQuad1, ElementQuad2, ElementTriP1, ElementTriP2, ElementVector, Functional, InteriorFacetBasis
 from skfem import LinearForm, MeshQuad, MeshTri2, asm
 from skfem.helpers import ddot, div, dot, grad, mul
@@ -234,7 +233,7 @@ def taylor_green(options):
 
     def solver(weight):
         S = sparse.bmat([[weight / dt * M + A, B.T], [B, None]]).tocsr()
-        return kept_factors((P.T @ S @ P).tocsr())
+        return factorised((P.T @ S @ P).tocsr(), often=True)
     load = lambda u: asm(convection, bv, w=bv.interpolate(u))
     none, first = np.zeros(bp.N), solver(1.0)
     carried_old = load(old)
@@ -250,18 +249,6 @@ def taylor_green(options):
     gap = Functional(lambda w: ((w["u"] - exact(w.x, end)) ** 2).sum(0))
     error = np.sqrt(asm(gap, bv, u=bv.interpolate(u))) / amplitude
     return {"unknowns": P.shape[1], "steps": steps, "error": float(error)}
-
-
-def kept_factors(matrix):
-    """A function that solves with the matrix many times; channel_fem.py's gives its factors back after the first."""
-    try:
-        from pypardiso import PyPardisoSolver
-    except ImportError:
-        return scipy.sparse.linalg.splu(matrix.tocsc()).solve
-    solver = PyPardisoSolver()
-    matrix.sort_indices()
-    solver.factorize(matrix)
-    return lambda rhs: solver.solve(matrix, rhs)
 
 
 def cylinder(options):

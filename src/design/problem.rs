@@ -228,11 +228,6 @@ impl<R: Sweeps> Problem<R> {
         Ok(self.evaluate_settled(variables, tolerance)?.0)
     }
 
-    /// The objective at the steady state, to the precision of R.
-    pub fn value_at_steady(&self, variables: &[f64]) -> Result<f64, Error> {
-        self.evaluate_steady(variables, steady_tolerance::<R>())
-    }
-
     /// As [`Self::evaluate_steady`], with the number of steps.
     fn evaluate_settled(&self, variables: &[f64], tolerance: f64) -> Result<(f64, usize), Error> {
         let (steady, state, steps) = self.settled(variables, tolerance)?;

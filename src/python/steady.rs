@@ -4,6 +4,7 @@ use super::arrays::{columns, shaped_as, vector};
 use super::errors::to_python;
 use super::flow::{components, numbers as numbers_of};
 use super::watch::{watched, Told};
+use crate::config::scene::Config;
 use crate::error::{BadInput, Error};
 use crate::scene::around_bodies::AroundBodies;
 use crate::scene::around_flow::Around;
@@ -22,15 +23,13 @@ use std::sync::{Mutex, PoisonError};
 struct Found {
     numbers: Vec<f64>,
     objective: f64,
-    gradient: Option<Vec<f64>>,
+    derivative: Option<Derivative>,
     figures: String,
     fields: ParticleFields,
     /// Of a flow in time: its figures after each step, by name.
     history: Vec<(String, Vec<f64>)>,
-    /// Velocity on `output.grid`, and the derivative by that of the start, `[points, 2]` both.
+    /// Velocity on `output.grid`, `[points, 2]`.
     on_grid: Option<Vec<f64>>,
-    by_start: Option<Vec<f64>>,
-    by_viscosity: Option<f64>,
 }
 
 /// What is wanted of a flow.
@@ -115,12 +114,13 @@ pub struct Kept {
 /// fails is not kept.
 fn with_kept<A, T>(
     place: &Mutex<Option<A>>,
-    new: impl FnOnce() -> Result<A, Error>,
+    config: &Config,
+    new: fn(&Config) -> Result<A, Error>,
     find: impl FnOnce(&mut A) -> Result<T, Error>,
 ) -> Result<T, Error> {
     let lock = || place.lock().unwrap_or_else(PoisonError::into_inner);
     let kept = lock().take();
-    let mut around = kept.map_or_else(new, Ok)?;
+    let mut around = kept.map_or_else(|| new(config), Ok)?;
     let found = find(&mut around)?;
     *lock() = Some(around);
     Ok(found)
@@ -130,21 +130,14 @@ fn found(loaded: &Loaded, kept: &Kept, wanted: &Wanted) -> Result<Found, Error> 
     check(loaded)?;
     let config = &loaded.config;
     if config.is_around_bodies() {
-        return with_kept(
-            &kept.space,
-            || AroundBodies::new(config),
-            |around| {
-                solved(around, wanted, AroundBodies::summary, |_, _, _| {
-                    Err(BadInput::at("output.grid", "a grid around bodies").into())
-                })
-            },
-        );
+        let by_grid = |_: &mut _, _: &_, _: &[f64]| Err(BadInput::at("output.grid", "a grid around bodies").into());
+        return with_kept(&kept.space, config, AroundBodies::new, |around| {
+            solved(around, wanted, AroundBodies::summary, by_grid)
+        });
     }
-    with_kept(
-        &kept.plane,
-        || AroundShapes::new(config),
-        |around| solved(around, wanted, AroundShapes::summary, AroundShapes::grid_gradient),
-    )
+    with_kept(&kept.plane, config, AroundShapes::new, |around| {
+        solved(around, wanted, AroundShapes::summary, AroundShapes::grid_gradient)
+    })
 }
 
 fn solved<A: Around>(
@@ -163,9 +156,7 @@ fn solved<A: Around>(
     };
     let (figures, fields) = (text(summary(around, &solution)), around.fields(&solution));
     let on_grid = around.velocity_on_grid(&solution);
-    let (gradient, by_viscosity) =
-        derivative.map_or((None, None), |found| (Some(found.by_variables), found.by_viscosity));
-    Ok(Found { numbers, objective, gradient, figures, fields, history: vec![], on_grid, by_start: None, by_viscosity })
+    Ok(Found { numbers, objective, derivative, figures, fields, history: vec![], on_grid })
 }
 
 fn found_in_time(loaded: &Loaded, kept: &Kept, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
@@ -178,30 +169,22 @@ fn found_in_time(loaded: &Loaded, kept: &Kept, wanted: &Wanted, tell: &dyn Fn(f6
     }
     check(loaded)?;
     if config.is_around_bodies() {
-        return with_kept(
-            &kept.space,
-            || AroundBodies::new(config),
-            |around| {
-                around.by_viscosity = true;
-                marched(around, wanted, tell)
-            },
-        );
-    }
-    with_kept(
-        &kept.plane,
-        || AroundShapes::new(config),
-        |around| {
+        return with_kept(&kept.space, config, AroundBodies::new, |around| {
             around.by_viscosity = true;
-            around.start = match &wanted.start {
-                Some((shape, velocity)) => {
-                    let velocity = [velocity[0].clone(), velocity[1].clone()];
-                    Some(start_field::on_grid(config, "velocity", [shape[0], shape[1]], velocity)?)
-                }
-                None => start_field::of_config(config)?,
-            };
             marched(around, wanted, tell)
-        },
-    )
+        });
+    }
+    with_kept(&kept.plane, config, AroundShapes::new, |around| {
+        around.by_viscosity = true;
+        around.start = match &wanted.start {
+            Some((shape, velocity)) => {
+                let velocity = [velocity[0].clone(), velocity[1].clone()];
+                Some(start_field::on_grid(config, "velocity", [shape[0], shape[1]], velocity)?)
+            }
+            None => start_field::of_config(config)?,
+        };
+        marched(around, wanted, tell)
+    })
 }
 
 fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<Found, Error> {
@@ -218,8 +201,6 @@ fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<
         true => Some(around.march_gradient(&numbers, &history, of)?),
         false => None,
     };
-    let by_viscosity = derivative.as_ref().and_then(|found| found.by_viscosity);
-    let (gradient, by_start) = derivative.map_or((None, None), |found| (Some(found.by_variables), found.by_start));
     let mean = |(k, (name, _)): (usize, &(String, _))| (name.clone(), json!(history.of(&window, k).mean));
     let figures: Map<String, Value> = history.figures.iter().enumerate().map(mean).collect();
     let of = |value: &dyn Fn(&Moment) -> f64| history.moments.iter().map(value).collect::<Vec<f64>>();
@@ -228,7 +209,7 @@ fn marched(around: &impl Around, wanted: &Wanted, tell: &dyn Fn(f64)) -> Result<
     let fields = ParticleFields { time: end, step: history.sizes.len(), ..around.fields(&last) };
     let figures = Value::Object(figures).to_string();
     let on_grid = around.velocity_on_grid(&last);
-    Ok(Found { numbers, objective, gradient, figures, fields, history: columns, on_grid, by_start, by_viscosity })
+    Ok(Found { numbers, objective, derivative, figures, fields, history: columns, on_grid })
 }
 
 /// See ``hydrograd.Scene.steady``.
@@ -253,7 +234,13 @@ pub fn unsteady<'py>(
         history.set_item(name, vector(py, values.clone()))?;
     }
     let points = wanted.start.as_ref().map(|(shape, _)| [shape.as_slice(), &[2]].concat());
-    let by_start = found.by_start.clone().zip(points).map(|(by, shape)| shaped_as(py, by, &shape)).transpose()?;
+    let by_start = found
+        .derivative
+        .as_ref()
+        .and_then(|found| found.by_start.clone())
+        .zip(points)
+        .map(|(by, shape)| shaped_as(py, by, &shape))
+        .transpose()?;
     let all = found.into_python(py, loaded)?;
     all.set_item("history", history)?;
     all.set_item("velocity_gradient", by_start)?;
@@ -266,8 +253,9 @@ impl Found {
         all.set_item("variables", loaded.config.variables.iter().map(|variable| &variable.number).collect::<Vec<_>>())?;
         all.set_item("numbers", vector(py, self.numbers))?;
         all.set_item("objective", self.objective)?;
-        all.set_item("gradient", self.gradient.map(|gradient| vector(py, gradient)))?;
-        all.set_item("viscosity_gradient", self.by_viscosity)?;
+        let by_viscosity = self.derivative.as_ref().and_then(|found| found.by_viscosity);
+        all.set_item("viscosity_gradient", by_viscosity)?;
+        all.set_item("gradient", self.derivative.map(|found| vector(py, found.by_variables)))?;
         all.set_item("figures", self.figures)?;
         let ParticleFields { dimension, position, velocity, pressure, temperature, tag, .. } = self.fields;
         all.set_item("position", columns(py, position, dimension)?)?;

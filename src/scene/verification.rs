@@ -473,9 +473,8 @@ fn figure<R: Sweeps>(loaded: &Loaded, progress: &mut dyn FnMut(f64)) -> anyhow::
     let design = Scene::<R>::problem(&loaded.config)?;
     let problem = design
         .ok_or_else(|| Error::run("a scene without a design has no wall to verify", "the scene heated-channel"))?;
-    let value = match problem.is_steady {
-        true => problem.value_at_steady(&problem.first)?,
-        false => problem.evaluate_watched(&problem.first, progress)?,
-    };
-    Ok(value * problem.figure.factor)
+    if problem.is_steady {
+        return Ok(problem.value(&problem.first)?.figure);
+    }
+    Ok(problem.evaluate_watched(&problem.first, progress)? * problem.figure.factor)
 }

@@ -25,8 +25,8 @@ use std::sync::Arc;
 const BLOCK: usize = 20;
 /// Number of blocks that the acceleration uses.
 const DEPTH: usize = 20;
-/// Newton's method finds a state this much closer to the steady one in double precision: it costs an iteration or two.
-const CLOSER: f64 = 1e-3;
+/// The residual to which Newton's method goes in double precision, if no smaller one is asked for: it costs an iteration or two.
+const CLOSE: f64 = 1e-9;
 /// Number of steps after which the search stops.
 const MOST_STEPS: usize = 100_000;
 
@@ -187,8 +187,8 @@ impl<R: Real> Recorder<R> for Tape<R> {
 impl<R: Real> Steady<R> for FixedParticles<R> {
     fn settle(&self, state: &mut Vec<R>, tolerance: f64) -> (usize, f64) {
         let first = state.clone();
-        let closer = if R::DTYPE == DType::F64 { CLOSER * tolerance } else { tolerance };
-        self.lattice.settle_by_newton(state, closer).unwrap_or_else(|| {
+        let close = if R::DTYPE == DType::F64 { tolerance.min(CLOSE) } else { tolerance };
+        self.lattice.settle_by_newton(state, close).unwrap_or_else(|| {
             *state = first;
             self.lattice.settle(state, BLOCK, DEPTH, tolerance, MOST_STEPS)
         })

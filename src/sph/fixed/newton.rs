@@ -250,25 +250,30 @@ impl<R: Real> Fixed<R> {
         let mut work = self.work();
         for _ in 0..=RENEWALS {
             let factors = own.as_ref().unwrap_or(reference);
+            let mass = |flow: &[f64]| -> f64 { volumes.iter().zip(flow.chunks_exact(3)).map(|(v, x)| v * x[2]).sum() };
+            let idle = mass(&factors.idle);
+            let conserved = |mut flow: Vec<f64>| {
+                let gained = mass(&flow) / idle;
+                add_times(&mut flow, -gained, &factors.idle);
+                flow
+            };
+            let drive = factors.drive.as_ref().map(|kicked| {
+                let Kicked { by_kick: [_, (by_flow, by_heat)], of_kick: [of_kick, _] } = kicked;
+                let by_flow = conserved(by_flow.clone());
+                let resists = 1.0 - dot(of_kick, &by_flow);
+                (of_kick, resists, by_flow, by_heat)
+            });
             let mut newton = |state: &mut Vec<R>| {
                 self.forward(state, &mut next, &mut work);
                 let residual = self.residual(state, &next);
                 next.iter_mut().zip(state.iter()).for_each(|(next, now)| *next -= *now);
                 let (flow, mut heat) = self.unknowns(&next, -1);
                 self.behind_outlets(&mut heat);
-                let mass =
-                    |flow: &[f64]| -> f64 { volumes.iter().zip(flow.chunks_exact(3)).map(|(v, x)| v * x[2]).sum() };
-                let conserved = |mut flow: Vec<f64>| {
-                    let gained = mass(&flow) / mass(&factors.idle);
-                    add_times(&mut flow, -gained, &factors.idle);
-                    flow
-                };
                 let (mut flow, mut heat) =
                     (conserved(factors.flow.solve(&flow, false)), factors.heat.solve(&heat, false));
-                if let Some(Kicked { by_kick: [_, (by_flow, by_heat)], of_kick: [of_kick, _] }) = &factors.drive {
-                    let by_flow = conserved(by_flow.clone());
-                    let kick = dot(of_kick, &flow) / (1.0 - dot(of_kick, &by_flow));
-                    add_times(&mut flow, kick, &by_flow);
+                if let Some((of_kick, resists, by_flow, by_heat)) = &drive {
+                    let kick = dot(of_kick, &flow) / resists;
+                    add_times(&mut flow, kick, by_flow);
                     add_times(&mut heat, kick, by_heat);
                 }
                 self.add(state, (&flow, &heat), 1);
@@ -312,21 +317,27 @@ impl<R: Real> Fixed<R> {
         mass_bar[row::P * self.particles()..][..fluid].copy_from_slice(&mass[..fluid]);
         let mass = self.unknowns(&mass_bar, 1).0;
         let pinned = factors.flow.solve(&mass, true);
+        let sum = |x: &[f64]| x.chunks_exact(3).map(|x| x[2]).sum::<f64>();
+        let mass_sum = sum(&mass);
+        let conserved = |mut flow: Vec<f64>| {
+            let multiple = flow[2] / pinned[2];
+            add_times(&mut flow, -multiple, &pinned);
+            let multiple = sum(&flow) / mass_sum;
+            add_times(&mut flow, -multiple, &mass);
+            flow
+        };
+        let drive = factors.drive.as_ref().map(|kicked| {
+            let Kicked { by_kick: [(by_flow, by_heat), _], of_kick: [_, back] } = kicked;
+            let back = conserved(back.clone());
+            let resists = 1.0 - dot(by_flow, &back);
+            (by_flow, by_heat, resists, back)
+        });
         let precondition = |x: &[f64]| {
             let (flow, heat) = x.split_at(3 * fluid);
-            let conserved = |mut flow: Vec<f64>| {
-                let multiple = flow[2] / pinned[2];
-                add_times(&mut flow, -multiple, &pinned);
-                let sum = |x: &[f64]| x.chunks_exact(3).map(|x| x[2]).sum::<f64>();
-                let multiple = sum(&flow) / sum(&mass);
-                add_times(&mut flow, -multiple, &mass);
-                flow
-            };
             let (mut flow, mut heat) = (conserved(factors.flow.solve(flow, true)), factors.heat.solve(heat, true));
-            if let Some(Kicked { by_kick: [(by_flow, by_heat), _], of_kick: [_, back] }) = &factors.drive {
-                let back = conserved(back.clone());
-                let share = (dot(by_flow, &flow) + dot(by_heat, &heat)) / (1.0 - dot(by_flow, &back));
-                add_times(&mut flow, share, &back);
+            if let Some((by_flow, by_heat, resists, back)) = &drive {
+                let share = (dot(by_flow, &flow) + dot(by_heat, &heat)) / resists;
+                add_times(&mut flow, share, back);
             }
             for (outlet, behind) in self.outlets() {
                 let from_behind: f64 = heat[behind].iter().sum();
