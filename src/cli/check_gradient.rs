@@ -74,8 +74,8 @@ impl CheckGradientArguments {
 const KIND: &str = "check-gradient";
 /// Largest error of a directional derivative, relative to the lengths of gradient and direction.
 const TOLERANCE_F64: f64 = 1e-5;
-/// The same for a steady state, whose adjoint is solved to 1e-4.
-const TOLERANCE_STEADY: f64 = 1e-3;
+/// The error of a steady state's derivative over the residual to which its adjoint equation is solved, at most.
+const AMPLIFIED: f64 = 10.0;
 /// The same in f32. Differences are still taken in f64, so this is the error of the f32 gradient.
 const TOLERANCE_F32: f64 = 1e-3;
 /// Growth of the derivative by the state that indicates chaos. Over 10,000 steps of a channel it stays below ten.
@@ -105,7 +105,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
         config.optimise.gradient = GradientMode::Segments;
     }
     let config = &config;
-    let Derivative { by_variables, growth, clipped, .. } = match config.run.precision {
+    let Derivative { by_variables, growth, clipped, residual, .. } = match config.run.precision {
         Precision::F32 => gradient::<f32>(config)?,
         Precision::F64 => gradient::<f64>(config)?,
     };
@@ -132,8 +132,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
 
     let tolerance = match config.run.precision {
         Precision::F32 => TOLERANCE_F32,
-        Precision::F64 if problem.is_steady => TOLERANCE_STEADY,
-        Precision::F64 => TOLERANCE_F64,
+        Precision::F64 => (AMPLIFIED * residual).clamp(TOLERANCE_F64, 1e-3),
     };
     let mut table = Table::new(["direction", "gradient", "differences", "step", "relative error", "Taylor order", ""]);
     let mut worst: f64 = 0.0;

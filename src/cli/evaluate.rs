@@ -3,7 +3,7 @@
 use super::arguments::at_least_one;
 use super::files::{write_json, VERSION};
 use super::machine;
-use super::model_data::{ModelData, ModelDataArguments};
+use super::model_data::{ModelData, ModelDataArguments, RelaxArguments};
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::report::plots::compare;
@@ -26,7 +26,9 @@ Examples:
   hydrograd evaluate --model runs/train/best.safetensors --data data/channel --split test --out runs/test
       the test split
   hydrograd evaluate --model linear --data data/channel --steps 5 --windows 10
-      how good constant velocity is, over 5 steps of 10 windows")]
+      how good constant velocity is, over 5 steps of 10 windows
+  hydrograd evaluate --model runs/ldc/best.safetensors --data data/ldc --steps 400 --relax 5
+      long rollouts with five pseudo-steps of SPH after each frame (Neural SPH), beside the model alone")]
 pub struct EvaluateArguments {
     #[command(flatten)]
     pub source: ModelDataArguments,
@@ -68,6 +70,10 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     let baselines: [Box<dyn Predictor>; 2] = [Box::new(ConstantVelocity), Box::new(Still)];
     let first = models[0].name();
     models.extend(baselines.into_iter().filter(|baseline| baseline.name() != first));
+    if source.relax.relax.is_some() {
+        let plain = RelaxArguments { relax: None, ..source.relax.clone() };
+        models.push(ModelDataArguments { relax: plain, ..source.clone() }.read()?.model);
+    }
     let bar = Progress::new((models.len() * windows.len()) as u64, "evaluate");
     let mut scores = Vec::new();
     for model in &models {

@@ -8,6 +8,7 @@ use super::prepare::{difference, open_device, share_out, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
+use crate::dataset::objective::objective;
 use crate::dataset::recipe::{Job, Pace, Recipe, Starts};
 use crate::dataset::record::record;
 use crate::dataset::store::{Begun, Provenance, Store};
@@ -47,6 +48,8 @@ Examples:
       one wall for all, from a file (or --set design.offsets=[0.0,0.01,...])
   hydrograd generate heated-channel --walls-file walls.csv --trajectories 4/1/1 --out data/given
       six walls of your own: six lines of 25 offsets
+  hydrograd generate heated-channel --pairs 0.004 --trajectories 800/40/40 --frames 50 --set design.bound=0.03 --out data/pairs
+      walls in pairs, to train a model on what a change of the wall does (objective.weight of a training)
   hydrograd generate taylor-green --seed 7
       LagrangeBench's 2D Taylor-Green vortices
   hydrograd generate heated-channel --out data/heated --shard 0/4
@@ -81,6 +84,14 @@ pub struct GenerateArguments {
     /// turns.
     #[arg(long, value_name = "FILE", conflicts_with = "walls")]
     pub walls_file: Option<PathBuf>,
+    /// Trajectories in pairs: every second one is the one before it over a neighbouring wall, whose nodes differ by at most
+    /// this. For `hydrograd train --set objective.weight=1`.
+    #[arg(long, value_name = "LENGTH", default_value_t = 0.0, hide_default_value = true)]
+    pub pairs: f64,
+    /// Also write the heat that flows out of the steady flow over each wall and its derivative by the nodes (datasets
+    /// `objective` and `objective_gradient`), by fixed particles.
+    #[arg(long)]
+    pub objective: bool,
     #[command(flatten)]
     pub shard: ShardArgument,
 }
@@ -131,6 +142,8 @@ impl GenerateArguments {
                 walls => walls.unwrap_or(usual.walls),
             },
             starts: self.starts,
+            pairs: self.pairs,
+            objective: self.objective,
             given,
         })
     }
@@ -337,10 +350,14 @@ fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow
 fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress) -> anyhow::Result<()> {
     let ready = recipe.ready(loaded, job)?;
     let progress = || bar.done(1);
-    let trajectory = match ready.config.run.precision {
+    let mut trajectory = match ready.config.run.precision {
         Precision::F32 => record::<f32>(&ready, &progress)?,
         Precision::F64 => record::<f64>(&ready, &progress)?,
     };
+    if recipe.objective {
+        let (value, by_nodes) = objective(loaded, &trajectory.wall_offset)?;
+        (trajectory.objective, trajectory.objective_gradient) = (Some(value), by_nodes);
+    }
     let provenance = Provenance {
         configuration: ready.config.recorded()?,
         seed: ready.config.run.seed,

@@ -10,6 +10,7 @@ use crate::error::BadInput;
 use crate::io::FileError;
 use crate::surrogate::load_predictor;
 use crate::surrogate::predictor::Predictor;
+use crate::surrogate::relaxation::{Relaxation, Relaxed};
 use clap::Args;
 use std::path::{Path, PathBuf};
 
@@ -33,6 +34,51 @@ pub struct ModelDataArguments {
     /// Worker threads, 0 for every core that the process may use; 1 is best on a busy machine.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = threads, allow_hyphen_values = true)]
     pub threads: usize,
+    #[command(flatten)]
+    pub relax: RelaxArguments,
+}
+
+/// Relaxation of predicted particles by SPH (Neural SPH, Toshev et al. 2024), for long rollouts.
+#[derive(Debug, Clone, Args)]
+pub struct RelaxArguments {
+    /// Pseudo-steps of SPH after each predicted frame, which keep particles from clustering (Neural SPH); 1 to 5 are usual.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub relax: Option<u32>,
+    /// Their length.
+    #[arg(long, value_name = "NUMBER", default_value_t = 0.03, value_parser = positive, requires = "relax")]
+    pub relax_strength: f64,
+    /// Their viscosity.
+    #[arg(long, value_name = "NUMBER", default_value_t = 0.0, value_parser = not_negative, requires = "relax")]
+    pub relax_viscosity: f64,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    number(text, |value| value > 0.0, "a number greater than 0")
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    number(text, |value| value >= 0.0, "a number, 0 or more")
+}
+
+fn number(text: &str, is_allowed: fn(f64) -> bool, allowed: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && is_allowed(value) => Ok(value),
+        _ => Err(format!("allowed: {allowed}")),
+    }
+}
+
+impl RelaxArguments {
+    /// A model whose predictions are relaxed, if that is wanted.
+    fn wrap(&self, model: Box<dyn Predictor>, metadata: &Metadata) -> Result<Box<dyn Predictor>, BadInput> {
+        let Some(steps) = self.relax else { return Ok(model) };
+        if metadata.heat.is_some() {
+            return Err(BadInput::new("--relax with data of the heated channel, whose particles differ in volume")
+                .allowed("flows of particles of equal volume: taylor-green, reverse-poiseuille, lid-driven-cavity, dam-break")
+                .advice("leave --relax out"));
+        }
+        let (strength, viscosity) = (self.relax_strength, self.relax_viscosity);
+        Ok(Box::new(Relaxed { model, relaxation: Relaxation { steps: steps as usize, strength, viscosity } }))
+    }
 }
 
 /// A model and the data with which it is compared.
@@ -49,6 +95,7 @@ impl ModelDataArguments {
         let compute = compute(self.kernels, self.device)?;
         let (metadata, trajectories) = read_data(&self.data, self.split)?;
         let model = load_predictor(&self.model, &metadata, compute)?;
+        let model = self.relax.wrap(model, &metadata)?;
         if let Some(unlike) = model.unlike(&metadata) {
             guard::warn(
                 &format!("{unlike}: its predictions mean little there"),

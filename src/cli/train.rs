@@ -70,7 +70,8 @@ pub struct TrainArguments {
     pub resume: bool,
     #[command(flatten)]
     pub overwrite: OverwriteArgument,
-    /// Begin with the parameters of another training; without --config its model.* and features.* hold too.
+    /// Begin with the parameters of another training and its normalisation; without --config its model.* and features.*
+    /// hold too.
     #[arg(long, value_name = "FILE")]
     pub init: Option<PathBuf>,
     /// Worker threads, 0 for every core that the process may use.
@@ -197,6 +198,7 @@ impl TrainArguments {
         let metadata = Metadata::read(data).map_err(unreadable(data))?;
         let setup = Setup::new(&settings, &metadata)?;
         let origin = self.origin(init, &settings, &setup)?;
+        let setup = origin.setup(setup);
         let data_set = TrainingData::read(data, metadata).map_err(unreadable(data))?;
         data_set.check(&settings).map_err(|bad| bad.place(format!("--data {}", data.display())))?;
         Ok(Begun { compute, settings, setup, data: data_set, origin })
@@ -258,6 +260,11 @@ impl TrainArguments {
 
 /// Checks that every rank has the same number of windows of a batch.
 fn check_shares(settings: &Settings, ranks: usize) -> Result<(), BadInput> {
+    if ranks > 1 && settings.objective.weight > 0.0 {
+        return Err(BadInput::new(format!("objective.weight = {} with {ranks} ranks", settings.objective.weight))
+            .key("objective.weight")
+            .allowed("a single process: pairs of rollouts are not shared out"));
+    }
     let (batch, next) = (settings.batch_size, settings.batch_size.next_multiple_of(ranks));
     if batch == next {
         return Ok(());

@@ -50,6 +50,7 @@ section! {
         model: ModelSettings = ModelSettings::default();
         features: Features = Features::default();
         pushforward: Pushforward = Pushforward::default();
+        objective: ObjectiveLoss = ObjectiveLoss::default();
     }
 }
 
@@ -93,6 +94,7 @@ section! {
         speed: bool = false;
         boundary: bool = true;
         unset_walls: bool = false;
+        force: bool = false;
     }
 }
 
@@ -103,6 +105,18 @@ section! {
         after: Vec<i64> = vec![-1, 20_000, 300_000, 400_000];
         unrolls: Vec<usize> = vec![0, 1, 2, 3];
         odds: Vec<f64> = vec![18.0, 2.0, 1.0, 1.0];
+    }
+}
+
+section! {
+    /// Training on the objective of a rollout and its change with the wall, see [`crate::surrogate::training::objective`].
+    #[derive(Copy)]
+    "objective.": ObjectiveLoss {
+        weight: f64 = 0.0, NotNegative;
+        gradient: f64 = 10.0, NotNegative;
+        steps: usize = 20, Within(1.0, 200.0);
+        first: usize = 0;
+        every: u64 = 1, AtLeast(1.0);
     }
 }
 
@@ -142,7 +156,7 @@ impl Schema for Settings {
     }
 
     fn numbers(&self) -> Vec<Number> {
-        [Self::numbers(self), self.model.numbers(), self.features.numbers()].concat()
+        [Self::numbers(self), self.model.numbers(), self.features.numbers(), self.objective.numbers()].concat()
     }
 
     fn usual(&self) -> (Self, &'static str) {

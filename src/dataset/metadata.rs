@@ -62,10 +62,44 @@ impl Heat {
     }
 }
 
+/// The external force per mass of a data set's flow, as in LagrangeBench.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ExternalForce {
+    /// Along x, `magnitude` below the middle of the box and -`magnitude` above it (reverse Poiseuille flow).
+    Opposed { magnitude: f64, middle: f64 },
+    /// Along -y (a dam break).
+    Down { magnitude: f64 },
+}
+
+impl ExternalForce {
+    /// The force along each direction on a particle at height y.
+    pub fn at(&self, y: f64) -> [f64; 3] {
+        match *self {
+            Self::Opposed { magnitude, middle } if y > middle => [-magnitude, 0.0, 0.0],
+            Self::Opposed { magnitude, .. } => [magnitude, 0.0, 0.0],
+            Self::Down { magnitude } => [0.0, -magnitude, 0.0],
+        }
+    }
+}
+
 /// Largest length of a box in spacings, which limits the number of its cells.
 const MOST_SPACINGS: f64 = 1e6;
 
 impl Metadata {
+    /// The external force of the flow, if it has one that depends on the place or drives a free surface.
+    pub fn external_force(&self) -> Option<ExternalForce> {
+        let number = self.other.get("g_ext_magnitude").and_then(|number| number.as_f64());
+        let magnitude = number.filter(|&magnitude| magnitude > 0.0)?;
+        match self.other.get("case")?.as_str()? {
+            "RPF" | "reverse-poiseuille" | "reverse-poiseuille-3d" => {
+                let [low, high] = *self.bounds.get(1)?;
+                Some(ExternalForce::Opposed { magnitude, middle: 0.5 * (low + high) })
+            }
+            "DAM" | "dam-break" | "dam-break-3d" => Some(ExternalForce::Down { magnitude }),
+            _ => None,
+        }
+    }
+
     /// Reads `metadata.json` of a data set's folder.
     ///
     /// # Errors

@@ -6,6 +6,7 @@
 
 pub mod extent;
 pub mod metadata;
+pub mod objective;
 pub mod recipe;
 pub mod record;
 pub mod statistics;

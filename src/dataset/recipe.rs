@@ -6,7 +6,7 @@
 //! time does not depend on the time step.
 
 use super::trajectory::Split;
-use super::walls::{wall, Section, Walls};
+use super::walls::{neighbour, wall, Section, Walls};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, Family, Method};
 use crate::design::shape::default_nodes;
@@ -35,9 +35,20 @@ pub struct Recipe {
     /// The initial state of the flows.
     #[serde(default)]
     pub starts: Starts,
+    /// If greater than 0, every second trajectory is the one before it over a neighbouring wall, whose nodes differ by
+    /// at most this: both begin alike, so the difference of what flows out is the effect of the walls.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub pairs: f64,
+    /// Whether trajectories get the heat that flows out of their steady flow, and its derivative by the wall's nodes.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub objective: bool,
     /// Offsets for [`Walls::File`], which the trajectories of all splits use in turns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub given: Vec<Vec<f64>>,
+}
+
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 /// How the flows of a data set begin.
@@ -151,6 +162,7 @@ impl Recipe {
             let problem = format!("scene {} has one way to begin", config.scene.name());
             return Err(bad("starts", problem, "starts = mix with scene heated-channel only"));
         }
+        self.check_walls(config)?;
         let usual = config.scene.defaults().time;
         // The length in a preset is for its own runs.
         let wish = |key: &str| loaded.place(key).is_some_and(|place| !place.starts_with("preset "));
@@ -165,6 +177,33 @@ impl Recipe {
         let steps = self.pace(config).total as f64;
         if steps > 1e9 {
             return Err(bad("frames", format!("a trajectory of {steps:.1e} steps"), "at most 1e9 steps"));
+        }
+        Ok(())
+    }
+
+    /// Checks what is about walls beyond their choice.
+    fn check_walls(&self, config: &Config) -> Result<(), BadInput> {
+        let bad = |key: &str, problem: String, allowed: String| Err(BadInput::new(problem).key(key).allowed(allowed));
+        if (self.pairs > 0.0 || self.objective) && !config.scene.has_design() {
+            let key = if self.objective { "objective" } else { "pairs" };
+            let problem = format!("scene {} has no walls to shape", config.scene.name());
+            return bad(key, problem, format!("{key} with scene heated-channel only"));
+        }
+        if !(0.0..config.design.bound).contains(&self.pairs) {
+            let allowed = format!("0 (no pairs) ... less than design.bound = {}", config.design.bound);
+            return bad("pairs", format!("pairs = {} is out of range", self.pairs), allowed);
+        }
+        if self.pairs > 0.0 && matches!(self.walls, Walls::Scene | Walls::File) {
+            return bad(
+                "pairs",
+                "pairs of walls that are given".into(),
+                "walls = mix, report, columns or smooth".into(),
+            );
+        }
+        if self.pairs > 0.0 && self.trajectories.iter().any(|count| count % 2 != 0) {
+            let [train, valid, test] = self.trajectories;
+            let problem = format!("trajectories = {train}/{valid}/{test} with pairs");
+            return bad("trajectories", problem, "even numbers".into());
         }
         Ok(())
     }
@@ -214,8 +253,11 @@ impl Recipe {
     /// The configuration of a trajectory, which depends only on the seed, the split and the index.
     pub fn ready(&self, loaded: &Loaded, job: Job) -> Result<Ready, Error> {
         let pace = self.pace(&loaded.config);
-        let mut rng = numbered(loaded.config.run.seed, job.split.name(), job.index as u32);
         let config = &loaded.config;
+        let is_paired = self.pairs > 0.0;
+        let first = if is_paired { job.index - job.index % 2 } else { job.index };
+        let of = |index: usize| numbered(config.run.seed, job.split.name(), index as u32);
+        let mut rng = of(first);
         let option = |key: &str, value: String| Setting::option(&format!("trajectory {job}"), key, value);
         let mut settings = vec![
             option("run.seed", new_seed(&mut rng).to_string()),
@@ -229,10 +271,16 @@ impl Recipe {
             let default = || default_nodes(channel.hot_from, channel.hot_to, config.resolution.dx);
             let nodes = design.nodes.clone().unwrap_or_else(default);
             let (hot_from, hot_to, bound) = (channel.hot_from, channel.hot_to, design.bound);
-            let section = Section { nodes: &nodes, hot_from, hot_to, bound };
+            let section = Section { nodes: &nodes, hot_from, hot_to, bound: bound - self.pairs };
             name = "the scene's".into();
-            let drawn = wall(self.walls, job.split, job.index, &mut rng, section);
-            if let Some((wall, offsets)) = drawn.or_else(|| self.given(job)) {
+            let number = if is_paired { first / 2 } else { first };
+            let drawn = wall(self.walls, job.split, number, &mut rng, section);
+            if let Some((mut wall, mut offsets)) = drawn.or_else(|| self.given(job)) {
+                if job.index != first {
+                    let change = neighbour(number, &mut of(job.index), Section { bound: self.pairs, ..section });
+                    offsets.iter_mut().zip(change).for_each(|(offset, change)| *offset += change);
+                    wall += ", its neighbour";
+                }
                 settings.push(option("design.offsets", format!("{offsets:?}")));
                 name = wall;
             }

@@ -133,6 +133,9 @@ impl Store {
             let (usual, mut recorded) = (config.scene.defaults(), config.clone());
             (recorded.run.threads, recorded.output) = (usual.run.threads, usual.output);
             (recorded.optimise, recorded.surrogate) = (usual.optimise, usual.surrogate);
+            if recipe.pairs > 0.0 {
+                metadata.other.insert("pairs".into(), recipe.pairs.into());
+            }
             metadata.other.insert(CONFIGURATION.into(), recorded.recorded()?.into());
             let mut statistics = Statistics::default();
             for split in Split::ALL {
@@ -182,7 +185,14 @@ fn write_trajectory(
     if let Some(temperature) = &trajectory.wall_temperature {
         write_chunked(path, &group, "wall_temperature", &[n], &[n], temperature)?;
     }
-    for (name, values) in [("wall_x", &trajectory.wall_x), ("wall_offset", &trajectory.wall_offset)] {
+    let objective: Vec<f64> = trajectory.objective.into_iter().collect();
+    let of_wall = [
+        ("wall_x", &trajectory.wall_x),
+        ("wall_offset", &trajectory.wall_offset),
+        ("objective", &objective),
+        ("objective_gradient", &trajectory.objective_gradient),
+    ];
+    for (name, values) in of_wall {
         if !values.is_empty() {
             write_chunked(path, &group, name, &[values.len()], &[values.len()], values)?;
         }

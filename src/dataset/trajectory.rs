@@ -2,7 +2,8 @@
 //!
 //! Group "00000" has `position` `[T, N, D]` f32 and `particle_type` `[N]` i32 as in LagrangeBench. Ours add
 //! `temperature` `[T, N]` f32, `wall_temperature` `[N]` f32 (NaN where none is set), and `wall_x`, `wall_offset` `[M]`
-//! f64 (the shape of the wall).
+//! f64 (the shape of the wall). On request there are `objective` `[1]` and `objective_gradient` `[M]` f64: the heat that
+//! flows out of the steady flow over the wall, and its derivative by the heights of the nodes.
 
 use super::metadata::Metadata;
 use crate::io::hdf5_file::{failed, mismatch, missing, open, read_dataset, read_text};
@@ -69,6 +70,10 @@ pub struct Trajectory {
     /// Positions of the wall shape's nodes and its heights there, `[M]` each.
     pub wall_x: Vec<f64>,
     pub wall_offset: Vec<f64>,
+    /// The heat that flows out of the steady flow over the wall, and its derivative by the nodes' heights `[M]`, if
+    /// the data have them.
+    pub objective: Option<f64>,
+    pub objective_gradient: Vec<f64>,
 }
 
 impl Trajectory {
@@ -263,6 +268,8 @@ pub(super) fn read_trajectory(
         wall_temperature: read_dataset(path, &group, &present, "wall_temperature", &[particles])?,
         wall_x: nodes("wall_x")?,
         wall_offset: nodes("wall_offset")?,
+        objective: nodes("objective")?.first().copied(),
+        objective_gradient: nodes("objective_gradient")?,
         name,
     })
 }

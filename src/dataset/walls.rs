@@ -140,6 +140,13 @@ pub fn wall(
     }
 }
 
+/// The change from a wall to its neighbour in a data set of pairs, within the section's bound: random nodes and random
+/// smooth walls in turns.
+pub fn neighbour(number: usize, rng: &mut ChaCha8Rng, section: Section) -> Vec<f64> {
+    let family = [Walls::Smooth, Walls::Columns][number % 2];
+    wall(family, Split::Train, number, rng, section).map_or_else(Vec::new, |(_, change)| change)
+}
+
 impl Section<'_> {
     fn sample(&self, f: impl Fn(f64) -> f64) -> Vec<f64> {
         self.nodes.iter().map(|x| f((x - self.hot_from) / (self.hot_to - self.hot_from))).collect()

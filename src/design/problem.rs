@@ -116,6 +116,8 @@ pub struct Derivative {
     pub growth: Vec<(usize, f64)>,
     /// See [`Gradient::clipped`].
     pub clipped: usize,
+    /// Residual of the adjoint equation of a steady state, relative to its right-hand side.
+    pub residual: f64,
 }
 
 impl Evaluation {
@@ -184,7 +186,7 @@ impl<R: Sweeps> Problem<R> {
         check_gradient(&by_variables)?;
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
         let Gradient { value, growth, clipped, .. } = found;
-        Ok(Derivative { value, by_variables, solver_steps, growth, clipped })
+        Ok(Derivative { value, by_variables, solver_steps, growth, clipped, ..Derivative::default() })
     }
 
     /// [`Self::differentiate`] by central differences of runs, one-sided at a limit. Over a long time two runs from
@@ -212,7 +214,8 @@ impl<R: Sweeps> Problem<R> {
             by_variables.push((more - less) / (above - below));
         }
         check_gradient(&by_variables)?;
-        Ok(Derivative { value: middle, by_variables, solver_steps: runs * self.steps, growth: vec![], clipped: 0 })
+        let solver_steps = runs * self.steps;
+        Ok(Derivative { value: middle, by_variables, solver_steps, ..Derivative::default() })
     }
 
     /// The error for the user of a failed run, with its cause.
@@ -283,7 +286,7 @@ impl<R: Sweeps> Problem<R> {
         check_gradient(&by_variables)?;
         progress(1.0);
         let solver_steps = steps + ADJOINT * found.steps;
-        Ok(Derivative { value, by_variables, solver_steps, growth: vec![], clipped: 0 })
+        Ok(Derivative { value, by_variables, solver_steps, residual: found.residual, ..Derivative::default() })
     }
 
     /// The derivative by the variables, `[K]`, given the cotangent of the initial state, `[F, N]`.

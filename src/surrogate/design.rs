@@ -213,7 +213,7 @@ impl<R: Sweeps> SurrogateProblem<R> {
         check_gradient(&by_variables)?;
         progress(1.0);
         let (value, growth) = (found.value, found.growth);
-        Ok(Derivative { value, by_variables, solver_steps: steps, growth, clipped: 0 })
+        Ok(Derivative { value, by_variables, solver_steps: steps, growth, ..Derivative::default() })
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Node features, in this order (those of LagrangeBench, Toshev et al. 2023, then ours): W - 1 velocities (v -
 //! mean)/s_v, oldest first; optionally their norms; clip([p - lo, hi - p]/r_c, -1, 1) in directions that are not
-//! periodic; the external force if any; with heat: W - 1 temperature changes and the temperature (normalised; 0 for
+//! periodic; the external force if one is given, and that of the data's flow with `force`; with heat: W - 1 temperature changes and the temperature (normalised; 0 for
 //! walls without a set temperature unless `unset_walls`), the set temperature of a wall (normalised, 0 where none is
 //! set) and whether one is set, and the clipped distances to inlet and outlet. The model appends the embedding of the
 //! particle's type. Edge features: displacement from sender to receiver over r_c, and its length (gradient 0 where it
@@ -97,6 +97,7 @@ impl Features {
             + if self.speed { steps } else { 0 }
             + if self.boundary { 2 * open } else { 0 }
             + force
+            + if self.force { metadata.dim } else { 0 }
             + if heat { steps + 5 } else { 0 }
     }
 
@@ -133,6 +134,9 @@ impl Features {
             columns.extend(ends_of_the_box(last, metadata, normalisation.radius)?);
         }
         columns.extend(force.cloned());
+        if self.force {
+            columns.push(external_force(last, metadata)?);
+        }
         columns.extend(self.heat(scenery, normalisation, window, last)?);
         let nodes = Tensor::cat(&columns, 1)?.to_dtype(dtype)?;
 
@@ -190,6 +194,16 @@ fn graph(position: &Tensor, metadata: &Metadata, radius: f64) -> anyhow::Result<
     let extent = Extent::of(metadata);
     corner.iter_mut().enumerate().for_each(|(at, x)| *x = extent.from_corner(at % metadata.dim, *x));
     Ok(Graph::build(&corner, &metadata.domain(), radius)?)
+}
+
+/// The external force of a data set's flow on particles at positions `[N, D]`, constant in derivatives.
+fn external_force(position: &Tensor, metadata: &Metadata) -> anyhow::Result<Tensor> {
+    let Some(force) = metadata.external_force() else { anyhow::bail!("the data have no external force") };
+    let numbers = position.detach().flatten_all()?.to_vec1::<f64>()?;
+    let d = metadata.dim;
+    let of = |place: &[f64]| force.at(place[1]).into_iter().take(d);
+    let all: Vec<f64> = numbers.chunks(d).flat_map(of).collect();
+    Ok(Tensor::from_vec(all, position.shape(), &Device::Cpu)?)
 }
 
 /// Distances to the lower, then to the upper ends of the directions that are not periodic.

@@ -3,6 +3,7 @@
 //! A step of a learned model computes [`features`] of a window of frames and its graph, applies a network of
 //! [`models`], which is built from the parts in [`network`], and [`integrate`]s to the next frame. [`predictor`] is its
 //! interface for [`evaluation`], which compares it with the truth. [`training`] fits the parameters.
+//! [`relaxation`] keeps the particles of long rollouts apart.
 //! [`differentiable_rollout`] has steps on candle's graph, [`dynamics`] makes them available to gradients, [`design`]
 //! evaluates walls by them, and [`initial_velocity`] finds initial velocities. Networks use fused operators, or
 //! candle-nn's layers ([`network::layers`]) with the same parameters.
@@ -20,6 +21,7 @@ pub mod integrate;
 pub mod models;
 pub mod network;
 pub mod predictor;
+pub mod relaxation;
 pub mod training;
 
 pub use models::load::{load_learned, load_predictor, HEATED_CHANNEL, TAYLOR_GREEN};

@@ -112,6 +112,8 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
                 is_to_stop: false,
                 history: vec![],
                 validation: vec![],
+                objective: vec![],
+                pairs: None,
             };
             let mut step = || {
                 training.update(&mut samples, &variables, settings.learning_rate)?;

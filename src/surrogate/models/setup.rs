@@ -46,6 +46,12 @@ impl Setup {
                 .allowed("data made by `hydrograd generate` from a scene with heat")
                 .advice("model.heat=none"));
         }
+        if settings.features.force && metadata.external_force().is_none() {
+            return Err(BadInput::new("features.force = true, but the data have no external force")
+                .key("features.force")
+                .allowed("data of reverse-poiseuille or dam-break, with `case` and `g_ext_magnitude` in metadata.json")
+                .advice("features.force=false"));
+        }
         let radius = model.radius.map_or(metadata.default_connectivity_radius, |r| r * metadata.dx);
         // Conduction is computed, so the network does not need temperatures.
         let seen = heat.filter(|_| model.heat == HeatModel::Learned);

@@ -154,7 +154,8 @@ fn gradient(
     Ok((value, gradients))
 }
 
-fn unreached(parameter: &Parameter) -> anyhow::Error {
+/// The error for a parameter that the loss does not depend on.
+pub(super) fn unreached(parameter: &Parameter) -> anyhow::Error {
     let names: Vec<&str> = parameter.parts.iter().map(|(name, ..)| name.as_str()).collect();
     anyhow::anyhow!("no gradient reached {}: this is a bug of hydrograd's, please report it", names.join(", "))
 }

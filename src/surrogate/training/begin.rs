@@ -7,6 +7,7 @@ use crate::dataset::{read_split, Metadata, Split, Trajectory};
 use crate::error::BadInput;
 use crate::io::FileError;
 use crate::surrogate::evaluation::rollout::check_length;
+use crate::surrogate::features::Normalisation;
 use crate::surrogate::models::setup::Setup;
 use crate::surrogate::network::parameters::Network;
 use crate::surrogate::training::checkpoint::{fresh, Header, TrainingState};
@@ -64,7 +65,9 @@ impl Origin {
     /// # Errors
     /// [`BadInput`]: it has other settings or data, or is beyond `settings.steps` (the error's key is then `steps`).
     pub fn resumed(header: Header, settings: &Settings, setup: &Setup) -> Result<Self, BadInput> {
-        resumes(&header.settings, settings, header.setup == *setup)?;
+        // The normalisation may be that of the parameters with which the training began.
+        let setup = Setup { normalisation: header.setup.normalisation.clone(), ..setup.clone() };
+        resumes(&header.settings, settings, header.setup == setup)?;
         if settings.steps < header.step {
             let problem = format!("steps = {}, but the training is at step {}", settings.steps, header.step);
             return Err(BadInput::new(problem).key("steps").allowed(format!("steps of {} or more", header.step)));
@@ -98,6 +101,16 @@ impl Origin {
     /// Whether an earlier run is resumed.
     pub fn resumes(&self) -> bool {
         matches!(self, Self::Resumed(_))
+    }
+
+    /// The setup of the training, given that of its data. Parameters that are taken over mean what they meant with the
+    /// normalisation of their own data, so that is kept.
+    pub fn setup(&self, mut setup: Setup) -> Setup {
+        if let Self::Resumed(header) | Self::TakenOver(header) = self {
+            let radius = setup.normalisation.radius;
+            setup.normalisation = Normalisation { radius, ..header.setup.normalisation.clone() };
+        }
+        setup
     }
 
     /// The network with its parameters, and the state of its training.

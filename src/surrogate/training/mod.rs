@@ -4,5 +4,6 @@ pub mod begin;
 pub mod checkpoint;
 pub mod loss;
 pub mod noise;
+pub mod objective;
 pub mod samples;
 pub mod train;

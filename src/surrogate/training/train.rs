@@ -21,6 +21,7 @@ use crate::surrogate::network::parameters::{Network, Parameter};
 use crate::surrogate::training::batch::{Found, Team};
 use crate::surrogate::training::begin::{Origin, TrainingData, LAST};
 use crate::surrogate::training::checkpoint::{self, TrainingState};
+use crate::surrogate::training::objective::{Errors, Pairs};
 use crate::surrogate::training::samples::Samples;
 use candle_core::Var;
 use std::path::{Path, PathBuf};
@@ -29,6 +30,8 @@ use std::time::Instant;
 
 /// The columns of history.csv.
 pub const HISTORY_COLUMNS: [&str; 4] = ["step", "seconds", "loss", "learning_rate"];
+/// The columns of objective.csv: errors of the objective over pairs of the validation split, in per cent.
+pub const OBJECTIVE_COLUMNS: [&str; 4] = ["step", "seconds", "value", "difference"];
 /// The columns of validation.csv after `step` and `seconds`.
 pub const METRICS: [&str; 7] = ["mse_1", "mse_5", "mse_10", "mse_20", "sinkhorn", "e_kin", "temperature_mse"];
 
@@ -45,9 +48,12 @@ pub struct Training<'a> {
     pub folder: PathBuf,
     /// Whether any rank was asked to stop.
     pub is_to_stop: bool,
-    /// The rows of history.csv and validation.csv so far.
+    /// The rows of history.csv, validation.csv and objective.csv so far.
     pub history: Vec<Vec<f64>>,
     pub validation: Vec<Vec<f64>>,
+    pub objective: Vec<Vec<f64>>,
+    /// Pairs of trajectories to train on their objective, and those of the validation split, if that is wanted.
+    pub pairs: Option<[Pairs<'a>; 2]>,
 }
 
 impl<'a> Training<'a> {
@@ -66,6 +72,11 @@ impl<'a> Training<'a> {
             true => read_rows(&folder.join(name), state.step),
             false => Vec::new(),
         };
+        let of = |split| Pairs::new(&settings.objective, settings.seed, setup, &network, &data.metadata, split);
+        let pairs = match settings.objective.weight > 0.0 {
+            true => Some([of(&data.train)?, of(&data.valid)?]),
+            false => None,
+        };
         Ok(Self {
             settings,
             setup,
@@ -75,6 +86,8 @@ impl<'a> Training<'a> {
             network,
             history: rows("history.csv"),
             validation: rows("validation.csv"),
+            objective: rows("objective.csv"),
+            pairs,
             state,
             team,
             folder: folder.to_owned(),
@@ -182,9 +195,14 @@ impl<'a> Training<'a> {
     pub fn update(&mut self, samples: &mut Samples, variables: &[Var], rate: f64) -> anyhow::Result<f64> {
         let (settings, step) = (self.settings, self.state.step);
         let (network, weight) = (&*self.network, settings.temperature_weight);
-        let Found { loss, gradients: mut sum, is_to_stop } =
+        let Found { mut loss, gradients: mut sum, is_to_stop } =
             self.team.gradient(samples, step, settings.batch_size, network, weight, self.metadata.dim)?;
         self.is_to_stop = is_to_stop;
+        if let Some([pairs, _]) = self.pairs.as_mut().filter(|_| step.is_multiple_of(settings.objective.every)) {
+            let (more, gradients) = pairs.gradient(step, network)?;
+            loss += more;
+            sum = sum.iter().zip(&gradients).map(|(a, b)| a + b).collect::<candle_core::Result<_>>()?;
+        }
         let mut square = 0.0;
         for gradient in &sum {
             square += f64::from(gradient.sqr()?.sum_all()?.to_scalar::<f32>()?);
@@ -250,6 +268,7 @@ impl<'a> Training<'a> {
         self.validation.push(row);
         let header = [&["step", "seconds"], &METRICS[..]].concat();
         write_rows(&self.folder.join("validation.csv"), &header, &self.validation)?;
+        let of_objective = self.validate_objective()?;
         let merit = Self::merit(&scores, linear);
         if merit < self.state.best {
             self.state.best = merit;
@@ -259,7 +278,7 @@ impl<'a> Training<'a> {
             if scores.broken.is_empty() { String::new() } else { format!(", {} windows broke", scores.broken.len()) };
         let digits = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.2e}"));
         bar.log(&format!(
-            "step {}: MSE_1 {} MSE_5 {} MSE_20 {}{}{broken} ({:.2} of linear, {:.0} s)",
+            "step {}: MSE_1 {} MSE_5 {} MSE_20 {}{}{of_objective}{broken} ({:.2} of linear, {:.0} s)",
             self.state.step,
             digits(scores.mse_1),
             digits(scores.mse_5),
@@ -270,6 +289,18 @@ impl<'a> Training<'a> {
         ));
         self.plot(linear)?;
         Ok(scores)
+    }
+
+    /// Adds a row to objective.csv, if the training has an objective, and returns it as text.
+    fn validate_objective(&mut self) -> anyhow::Result<String> {
+        let Some([_, pairs]) = &mut self.pairs else { return Ok(String::new()) };
+        let average = self.state.average.as_deref();
+        let Errors { values: [a, b], difference } =
+            pairs.validate(self.settings.validation_windows, average, &*self.network)?;
+        let value = (0.5 * (a * a + b * b)).sqrt();
+        self.objective.push(vec![self.state.step as f64, self.state.seconds, value, difference]);
+        write_rows(&self.folder.join("objective.csv"), &OBJECTIVE_COLUMNS, &self.objective)?;
+        Ok(format!(" objective {value:.2} %, from wall to wall {difference:.2} %"))
     }
 
     /// Plots `curves.png` and `.svg` from the rows of both tables.
