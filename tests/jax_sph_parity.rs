@@ -155,7 +155,7 @@ fn fields(case: &Case, solver: &Solver<f64>, before: &[f64]) -> Fields {
 /// Likewise the rate of a density that diffuses, by c delta/h.
 fn rounded_rate(model: &Standard<f64>) -> f64 {
     match model.laws.flux {
-        Flux::Delta(law, _) => f64::EPSILON * law.strength * law.sound_speed / law.smoothing_length,
+        Flux::Delta(law) => f64::EPSILON * law.strength * law.sound_speed / law.smoothing_length,
         _ => 0.0,
     }
 }

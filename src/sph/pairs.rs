@@ -1,6 +1,7 @@
 //! What every sweep over pairs shares: rows, records, differences, packing.
 
 use crate::numerics::lanes::{array, Lanes, Real};
+use crate::numerics::pool::Buffer;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::Images;
 use crate::particles::NeighbourList;
@@ -92,6 +93,23 @@ impl<L: Lanes> Mask<L> {
         }
     }
 
+    /// `inside` in the lanes that are summed, `outside` in the others.
+    #[inline(always)]
+    pub fn choose(&self, inside: L, outside: L) -> L {
+        if self.whole {
+            inside
+        } else {
+            let inside = self.lane.select_less(self.begin, outside, inside);
+            self.lane.select_less(self.end, inside, outside)
+        }
+    }
+
+    /// Whether every lane is summed.
+    #[inline(always)]
+    pub fn is_whole(&self) -> bool {
+        self.whole
+    }
+
     /// The same vector's lanes up to the entry `end` only.
     #[inline(always)]
     pub fn up_to(&self, at: usize, end: usize) -> Self {
@@ -128,6 +146,12 @@ impl<'a, R: Real> Records<'a, R> {
     pub fn new(numbers: &'a [R], width: usize, particles: usize) -> Self {
         assert!(numbers.len() >= width * particles, "a particle without a record");
         Self { numbers, width }
+    }
+
+    /// Numbers of a record.
+    #[inline(always)]
+    pub fn width(&self) -> usize {
+        self.width
     }
 
     /// A particle's own record.
@@ -311,29 +335,29 @@ pub fn splat_fields<L: Lanes>(record: &[L::Real], fields: usize) -> Fields<L> {
     all
 }
 
-struct Packing<'a, R> {
-    flow: &'a Flow<R>,
-    moved: &'a [R],
-    extra: Option<&'a (dyn Fn(usize) -> R + Sync)>,
+/// Writes records of `width` numbers, of every particle one.
+struct Packing<'a, R, F> {
+    width: usize,
+    write: F,
     records: Own<'a, R>,
 }
 
-impl<R: Real> RowKernel<R> for Packing<'_, R> {
+impl<R: Real, F: Fn(usize, &mut [R]) + Sync> RowKernel<R> for Packing<'_, R, F> {
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let (n, dimension) = (self.flow.particles(), self.flow.dimension());
-        let (x, y) = (&self.moved[..n], &self.moved[n..2 * n]);
-        let z = if dimension == 3 { &self.moved[2 * n..3 * n] } else { x };
         for i in rows {
             // SAFETY: each row writes its own record.
-            let record = unsafe { self.records.slice(4 * i..4 * i + 4) };
-            let extra = self.extra.map_or(R::default(), |f| f(i));
-            record[0] = x[i];
-            record[1] = y[i];
-            record[2] = if dimension == 3 { z[i] } else { extra };
-            record[3] = extra;
+            (self.write)(i, unsafe { self.records.slice(i * self.width..(i + 1) * self.width) });
         }
     }
+}
+
+/// Records of `width` numbers of every particle, as `write` fills those with arbitrary content, in a buffer of the flow.
+pub fn packed<R: Real>(flow: &Flow<R>, width: usize, write: impl Fn(usize, &mut [R]) + Sync) -> Buffer<R> {
+    let n = flow.particles();
+    let mut records = flow.scratch.buffers.buffer(width * n);
+    run_rows(&Packing { width, write, records: Own::new(&mut records) }, n);
+    records
 }
 
 /// Positions as records of 4: x y (z), then `extra`.
@@ -343,7 +367,11 @@ pub fn pack_positions<R: Real>(
     extra: Option<&(dyn Fn(usize) -> R + Sync)>,
     records: &mut Vec<R>,
 ) {
-    let n = flow.particles();
+    let (n, d) = (flow.particles(), flow.dimension());
     records.resize(4 * n, R::default());
-    run_rows(&Packing { flow, moved, extra, records: Own::new(records) }, n);
+    let write = |i: usize, record: &mut [R]| {
+        record[2..].fill(extra.map_or(R::default(), |f| f(i)));
+        (0..d).for_each(|k| record[k] = moved[k * n + i]);
+    };
+    run_rows(&Packing { width: 4, write, records: Own::new(records) }, n);
 }

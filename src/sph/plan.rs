@@ -198,7 +198,7 @@ fn left_out<R: Sweeps>(model: &Model<R>, particles: &Particles) -> Vec<Dropped> 
         ));
     }
     if !model.is_fused() {
-        let why = "delta-SPH, Riemann problems, free slip and renormalisation are composed of candle's operators";
+        let why = "density_gradient = jax-sph, and Riemann problems with materials, are composed of candle's operators";
         all.push(dropped("fused kernels", why));
     }
     all.push(dropped("self pairs", "their share of the density is a constant, and of all else zero"));

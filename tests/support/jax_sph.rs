@@ -147,20 +147,12 @@ impl Case {
         let (solver, case) = (&self.config["solver"], &self.config["case"]);
         let (of, sound_speed) = (|key: &str| solver[key].as_f64().unwrap(), case["c_ref"].as_f64().unwrap());
         match solver["name"].as_str().unwrap() {
-            "DELTA" => Flux::Delta(
-                DensityDiffusion {
-                    strength: of("diff_delta"),
-                    sound_speed,
-                    smoothing_length,
-                    gradient: DensityGradient::JaxSph,
-                },
-                VelocityDiffusion {
-                    strength: of("diff_alpha"),
-                    sound_speed,
-                    smoothing_length,
-                    reference_density: case["rho_ref"].as_f64().unwrap(),
-                },
-            ),
+            "DELTA" => Flux::Delta(DensityDiffusion {
+                strength: of("diff_delta"),
+                sound_speed,
+                smoothing_length,
+                gradient: DensityGradient::JaxSph,
+            }),
             "RIE" => Flux::Riemann(Riemann { sound_speed, limiter: of("eta_limiter") }),
             _ => Flux::Pair,
         }
@@ -231,16 +223,23 @@ impl Case {
             heat,
             ..Flow::new(domain, self.tags.clone(), self.dx, equation_of_state, self.dt)
         };
+        let artificial_viscosity = (alpha > 0.0).then_some(ArtificialViscosity {
+            alpha,
+            beta: 0.0,
+            // 10 u_ref with a u_ref of 1 whatever the case's is, and the spacing for h: theirs.
+            sound_speed: 10.0,
+            smoothing_length: self.dx,
+            every_pair: true,
+        });
+        let velocity_diffusion = (self.config["solver"]["name"] == "DELTA").then(|| VelocityDiffusion {
+            strength: self.config["solver"]["diff_alpha"].as_f64().unwrap(),
+            sound_speed: case["c_ref"].as_f64().unwrap(),
+            smoothing_length: h,
+            reference_density: case["rho_ref"].as_f64().unwrap(),
+        });
         let laws = Laws {
             transport: self.transport,
-            further: ((alpha > 0.0).then_some(ArtificialViscosity {
-                alpha,
-                beta: 0.0,
-                // 10 u_ref with a u_ref of 1 whatever the case's is, and the spacing for h: theirs.
-                sound_speed: 10.0,
-                smoothing_length: self.dx,
-                every_pair: true,
-            }),),
+            further: (artificial_viscosity, velocity_diffusion),
             renormalises: self.config["solver"]["density_renormalize"].as_bool().unwrap(),
             flux: self.flux(h),
             slip: if self.config["solver"]["free_slip"].as_bool().unwrap() { Slip::Free } else { Slip::None },

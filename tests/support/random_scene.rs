@@ -1,5 +1,6 @@
 //! Random particles for which every term of every operator counts: jittered lattices with random fields.
 
+use hydrograd::config::scene::FluxName;
 use hydrograd::numerics::random::{stream, Normal};
 use hydrograd::particles::Neighbourhood;
 use hydrograd::particles::{tag, Domain};
@@ -8,7 +9,9 @@ use hydrograd::sph::kernels::{Kernel, KernelName};
 use hydrograd::sph::laws::body_force::BodyForce;
 use hydrograd::sph::laws::buoyancy::Buoyancy;
 use hydrograd::sph::laws::equation_of_state::EquationOfState;
-use hydrograd::sph::laws::ArtificialViscosity;
+use hydrograd::sph::laws::{
+    ArtificialViscosity, DensityDiffusion, DensityGradient, Flux, Riemann, Slip, VelocityDiffusion,
+};
 use hydrograd::sph::standard::chain::Step;
 use hydrograd::sph::standard::{Laws, Layout, Standard};
 use hydrograd::sph::Sweeps;
@@ -32,6 +35,11 @@ pub struct Options {
     pub materials: bool,
     /// The density evolves, gravity pulls, and artificial viscosity acts on every pair.
     pub density: bool,
+    pub flux: FluxName,
+    /// The flow slips along the walls.
+    pub slips: bool,
+    /// An evolved density is renormalised.
+    pub renormalises: bool,
     pub seed: u64,
 }
 
@@ -50,6 +58,9 @@ impl Options {
             artificial_viscosity: false,
             materials: false,
             density: false,
+            flux: FluxName::Pair,
+            slips: false,
+            renormalises: false,
             seed: 0,
         }
     }
@@ -197,18 +208,48 @@ impl RandomScene {
             }),
             ..Flow::new(domain, self.tags.clone(), DX, equation_of_state, 1e-3)
         };
+        let smoothing_length = options.smoothing * DX;
+        let artificial_viscosity = options.artificial_viscosity.then_some(ArtificialViscosity {
+            alpha: 0.7,
+            beta: 1.1,
+            sound_speed,
+            smoothing_length,
+            every_pair: options.density,
+        });
+        let velocity_diffusion = (options.flux == FluxName::Delta).then_some(VelocityDiffusion {
+            strength: 0.4,
+            sound_speed,
+            smoothing_length,
+            reference_density: density,
+        });
+        let gradient = DensityGradient::Renormalised;
         let laws = Laws {
             transport: if options.transport { 0.7 } else { 0.0 },
-            further: (options.artificial_viscosity.then_some(ArtificialViscosity {
-                alpha: 0.7,
-                beta: 1.1,
-                sound_speed,
-                smoothing_length: options.smoothing * DX,
-                every_pair: options.density,
-            }),),
-            ..Laws::default()
+            further: (artificial_viscosity, velocity_diffusion),
+            renormalises: options.renormalises,
+            flux: match options.flux {
+                FluxName::Pair => Flux::Pair,
+                FluxName::Delta => {
+                    Flux::Delta(DensityDiffusion { strength: 0.3, sound_speed, smoothing_length, gradient })
+                }
+                FluxName::Riemann => Flux::Riemann(Riemann { sound_speed, limiter: 3.0 }),
+            },
+            slip: if options.slips { Slip::Free } else { Slip::None },
+            normals: Some(convert(&self.normals())),
         };
         Arc::new(Standard::new(flow, options.layout(), laws))
+    }
+
+    /// Unit normals of the walls, leaning out of their planes; 0 for fluid.
+    fn normals(&self) -> Vec<f64> {
+        let (n, d) = (self.particles(), self.options.dimension);
+        let leaning = if d == 2 { [0.6, 0.8, 0.0] } else { [0.48, 0.8, 0.36] };
+        let mut normals = vec![0.0; d * n];
+        for i in (0..n).filter(|&i| self.tags[i] != tag::FLUID) {
+            let up = if self.state[n + i] < 0.5 * self.size[1] { 1.0 } else { -1.0 };
+            (0..d).for_each(|k| normals[k * n + i] = if k == 1 { up * leaning[1] } else { leaning[k] });
+        }
+        normals
     }
 
     pub fn state<R: Sweeps>(&self) -> Vec<R> {

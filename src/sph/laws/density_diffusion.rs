@@ -6,14 +6,16 @@
 //! (rho_j - rho_i) grad_i W_ij is the gradient of the density, renormalised by A_i = -sum_j V_j r_ij (x) grad_i W_ij,
 //! so that a linear density is not diffused and still water stays at rest.
 
-use super::continuity::Flowing;
+use super::continuity::{DensityTerm, Exchange, Flowing, Meeting};
+use super::pair_law::dot;
 use crate::config::scene::DensityGradient;
+use crate::numerics::lanes::{Lanes, Real};
 use crate::sph::composed::Pairs;
 use crate::sph::masks::above;
 use candle_core::{Result, Tensor};
 
 /// Smallest determinant of A (1 in the interior, 1/2 at a flat surface). Below it the gradient is set to 0.
-const LEAST_DETERMINANT: f64 = 0.05;
+pub const LEAST_DETERMINANT: f64 = 0.05;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DensityDiffusion {
@@ -87,7 +89,34 @@ impl Matrices {
     }
 }
 
+impl DensityTerm for DensityDiffusion {
+    /// s = delta h c/rho.
+    #[inline(always)]
+    fn share<L: Lanes>(&self, density: L) -> (L, L) {
+        let share = L::splat(L::Real::of(self.factor())) / density;
+        (share, -share)
+    }
+
+    /// X = psi . r, with the gradients g of the density as vectors; 0 at walls.
+    #[inline(always)]
+    fn exchange<L: Lanes, const D: usize>(&self, at: &Meeting<L, D>) -> Exchange<L, D> {
+        let two = at.fluid.apply(L::splat(L::Real::of(2.0)));
+        let (mut by_difference, mut by_vector) = ([L::zero(); D], [L::zero(); D]);
+        for d in 0..D {
+            by_difference[d] = -at.fluid.apply(at.vector[0][d] + at.vector[1][d]);
+            by_vector[d] = -at.fluid.apply(at.difference[d]);
+        }
+        let value = two.mul_add(at.density[0] - at.density[1], dot(&by_difference, at.difference));
+        Exchange { value, by_density: two, by_difference, by_vector }
+    }
+}
+
 impl DensityDiffusion {
+    /// delta h c.
+    fn factor(&self) -> f64 {
+        self.strength * self.smoothing_length * self.sound_speed
+    }
+
     /// The gain of drho/dt, `[1, N]`, by candle's operators.
     pub fn composed(&self, flowing: &Flowing, among_walls: impl FnOnce() -> Result<Tensor>) -> Result<Tensor> {
         let (pairs, r) = (flowing.pairs, &flowing.pairs.difference);
@@ -114,6 +143,6 @@ impl DensityDiffusion {
         let psi = (rise.affine(-2.0, 0.0)? - gradients)?;
         let fluid = pairs.other(&pairs.is_fluid)?;
         let sum = weight.mul(&psi)?.mul(&fluid)?.sum(2)?;
-        sum.affine(self.strength * self.smoothing_length * self.sound_speed, 0.0)
+        sum.affine(self.factor(), 0.0)
     }
 }

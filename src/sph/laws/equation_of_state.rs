@@ -67,6 +67,23 @@ impl EquationOfState {
         number(factor) * self.power_lanes(density * number(1.0 / self.reference_density), self.gamma - 1)
     }
 
+    /// Density of a pressure, in lanes, by Newton's method from a density that is not far away: from 3 % off, six steps reach
+    /// rounding for any gamma in use.
+    #[inline(always)]
+    pub fn density_lanes<L: Lanes>(&self, pressure: L, near: L) -> L {
+        let number = |x: f64| L::splat(L::Real::of(x));
+        let power = (pressure - number(self.at_vacuum())) * number(1.0 / self.reference_pressure);
+        if self.gamma == 1 {
+            return power * number(self.reference_density);
+        }
+        let mut ratio = near * number(1.0 / self.reference_density);
+        for _ in 0..6 {
+            let slope = self.power_lanes(ratio, self.gamma - 1);
+            ratio = ratio - (slope * ratio - power) / (slope * number(self.gamma as f64));
+        }
+        ratio * number(self.reference_density)
+    }
+
     #[inline(always)]
     fn power_lanes<L: Lanes>(&self, x: L, exponent: i32) -> L {
         let mut power = if exponent > 0 { x } else { L::splat(L::Real::of(1.0)) };

@@ -26,6 +26,10 @@ pub struct Side<L, const D: usize> {
     pub temperature: L,
     /// Conductivity relative to that of the scene; 0 without materials.
     pub conductivity: L,
+    /// Body force per mass on fluid, the unit normal into the fluid of a wall; 0 where no law reads it.
+    pub facing: [L; D],
+    /// u . n of a wall's own velocity; 0 for fluid, and where no law reads it.
+    pub crossing: L,
 }
 
 /// A pair of particles i (`own`) and j (`other`).
@@ -42,6 +46,8 @@ pub struct Pair<'a, L, const D: usize> {
     pub weight: L,
     /// Lanes in which both particles are fluid.
     pub fluid: Mask<L>,
+    /// Whether i is fluid. The rows of walls have fluid j only.
+    pub own_is_fluid: bool,
 }
 
 /// Sums of particle i over its pairs.
@@ -87,6 +93,8 @@ pub struct SideBar<L, const D: usize> {
     pub velocity: [L; D],
     pub transport: [L; D],
     pub temperature: L,
+    pub facing: [L; D],
+    pub crossing: L,
     pub position: [L; D],
 }
 
@@ -107,6 +115,18 @@ pub struct PairFields {
     /// F and c, `[1, N, K]`.
     pub slope: Tensor,
     pub weight: Tensor,
+    /// What [`Side::facing`] and [`Side::crossing`] are made of.
+    pub faces: Faces,
+}
+
+/// What a law may read of the particles at a wall.
+pub struct Faces {
+    /// Body force per mass on each particle, `[D, N]`.
+    pub given: Tensor,
+    /// Unit normals of wall particles, `[D, N]`, 0 for fluid.
+    pub normals: Tensor,
+    /// Velocity, `[D, N]`; wall particles have the wall's velocity.
+    pub velocity: Tensor,
 }
 
 /// [`Sums`] as tensors; none where no law has added anything.
@@ -139,6 +159,8 @@ pub trait PairLaw: Copy + Send + Sync {
     const HEAT: bool = false;
     /// Whether it reads [`Side::conductivity`].
     const MATERIALS: bool = false;
+    /// Whether it reads [`Side::facing`] and [`Side::crossing`].
+    const FACES: bool = false;
 
     /// What particle i itself contributes to all of its pairs.
     type Own<L: Lanes, const D: usize>: Copy;
@@ -175,6 +197,7 @@ macro_rules! tuple_of_laws {
             const TRANSPORT: bool = $($law::TRANSPORT ||)* false;
             const HEAT: bool = $($law::HEAT ||)* false;
             const MATERIALS: bool = $($law::MATERIALS ||)* false;
+            const FACES: bool = $($law::FACES ||)* false;
             type Own<Z: Lanes, const N: usize> = ($($law::Own<Z, N>,)*);
 
             #[inline(always)]
@@ -213,6 +236,7 @@ impl<A: PairLaw> PairLaw for Option<A> {
     const TRANSPORT: bool = A::TRANSPORT;
     const HEAT: bool = A::HEAT;
     const MATERIALS: bool = A::MATERIALS;
+    const FACES: bool = A::FACES;
     type Own<L: Lanes, const D: usize> = Option<A::Own<L, D>>;
 
     #[inline(always)]

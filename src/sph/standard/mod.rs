@@ -16,6 +16,7 @@ pub mod assemble;
 pub mod chain;
 mod compiled;
 pub mod density;
+mod density_gradient;
 pub mod drift;
 pub mod evolution;
 pub mod layout;

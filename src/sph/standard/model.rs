@@ -5,7 +5,8 @@ use super::pair_cache::PairCache;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Pool;
 use crate::sph::flow::Flow;
-use crate::sph::laws::{Flux, Further, Slip};
+use crate::sph::laws::{DensityGradient, Flux, Further, Slip};
+use candle_core::{Result, Tensor};
 use std::ops::Deref;
 
 /// The laws that a scene chooses. The default has pair forces and no-slip walls, and no transport velocity.
@@ -53,10 +54,30 @@ impl<R: Real> Standard<R> {
         Self::new(flow, layout, Laws::default())
     }
 
-    /// Whether every operator of a step has a fused kernel. Otherwise steps use candle's operators in any case.
+    /// Whether every operator of a step has a fused kernel. Otherwise steps use candle's operators in any case: with the
+    /// density's gradients as JAX-SPH has them, and for Riemann problems with several materials or a transport velocity.
     pub fn is_fused(&self) -> bool {
-        let Laws { renormalises, flux, slip, .. } = &self.laws;
-        !renormalises && *flux == Flux::Pair && *slip == Slip::None
+        match self.laws.flux {
+            Flux::Pair => true,
+            Flux::Delta(diffusion) => !self.layout.density || diffusion.gradient == DensityGradient::Renormalised,
+            Flux::Riemann(_) => {
+                let materials = self.heat.as_ref().is_some_and(|heat| heat.materials.is_some());
+                !self.layout.transport && !materials
+            }
+        }
+    }
+
+    /// Component `d` of the unit normal of a wall's particle; 0 where the scene has no normals.
+    #[inline(always)]
+    pub fn normal(&self, d: usize, i: usize) -> R {
+        self.laws.normals.as_ref().map_or(R::default(), |normals| normals[d * self.particles() + i])
+    }
+
+    /// The walls' normals `[D, N]`; 0 where the scene has none.
+    pub fn normals(&self, like: &Tensor) -> Result<Tensor> {
+        let (n, d) = (self.particles(), self.layout.dimension);
+        let normals = self.laws.normals.clone().unwrap_or_else(|| vec![R::default(); d * n]);
+        Tensor::from_vec(normals, (d, n), like.device())?.to_dtype(like.dtype())
     }
 }
 

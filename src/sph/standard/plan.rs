@@ -87,11 +87,8 @@ fn density<R: Sweeps>(model: &Standard<R>) -> Vec<String> {
 fn laws<R: Sweeps>(model: &Standard<R>) -> Vec<String> {
     let mut names = Vec::new();
     match model.laws.flux {
-        Flux::Riemann(_) => names.extend(["pressure and viscosity by Riemann problems"]),
+        Flux::Riemann(_) if !model.is_fused() => names.push("pressure and viscosity by Riemann problems"),
         _ => with_laws!(model, |laws, _D| laws.name(&mut names)),
-    }
-    if matches!(model.laws.flux, Flux::Delta(..)) {
-        names.push("diffusion of velocity");
     }
     if model.body_force != BodyForce::None {
         names.push("body force");

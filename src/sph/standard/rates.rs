@@ -4,6 +4,7 @@
 //!
 //! * acceleration: P = c e, c = (V_i^2 + V_j^2) W'(d)/d, e the sum of the laws' contributions (Adami, Hu and
 //!   Adams 2013, eq. 8): [`crate::sph::laws::pressure`], [`crate::sph::laws::viscosity`], [`crate::sph::laws::transport_velocity`];
+//!   or the forces of the laws that have a factor of their own, such as [`crate::sph::laws::riemann`];
 //! * transport acceleration: P = c p(0) r_ij (their eq. 13);
 //! * temperature: [`crate::sph::laws::conduction`] (Cleary 1998).
 //!
@@ -12,21 +13,20 @@
 //! sums the derivatives of l by i's own fields, and walls have rows as well. No scatter, no atomics.
 
 use super::chain::{Masses, Step};
-use super::evolution;
 use super::pair_cache::PairCache;
 use super::records::{record_fields, record_temperature};
 use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::pool::Buffer;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::flow::{Heat, Materials};
-use crate::sph::laws::riemann::Surroundings;
 use crate::sph::laws::{
-    conduction, dot, with_laws, Bars, Conduction, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side, SideBar,
-    Sums, TransportVelocity,
+    conduction, dot, with_laws, Bars, Conduction, Faces, Flux, Pair, PairBar, PairFields, PairLaw, PairTensors, Side,
+    SideBar, Sums, TransportVelocity,
 };
 use crate::sph::masks;
 use crate::sph::own::Own;
-use crate::sph::pairs::{self, get, splat_fields, stride, vector, Fields, Records, RowGeometry};
+use crate::sph::pairs::{self, get, packed, splat_fields, stride, vector, Fields, Names, Records, RowGeometry};
 use candle_core::{Result, Tensor};
 use std::ops::Range;
 
@@ -41,6 +41,8 @@ fn side<L: Lanes, W: PairLaw, const D: usize>(f: &Fields<L>) -> Side<L, D> {
         transport: [L::zero(); D],
         temperature: if W::HEAT { get(f, record_temperature(D, W::TRANSPORT)) } else { L::zero() },
         conductivity: L::zero(),
+        facing: [L::zero(); D],
+        crossing: L::zero(),
     };
     if W::TRANSPORT {
         for d in 0..D {
@@ -57,6 +59,49 @@ fn conductivities<R: Real, W: PairLaw>(step: &Step<R>) -> Records<'_, R> {
     Records::new(all.unwrap_or_default(), W::MATERIALS as usize, step.model.particles())
 }
 
+/// Numbers of a record of [`Side::facing`] and [`Side::crossing`].
+const FACE: usize = 4;
+
+/// Records of what laws read of the particles at a wall: `facing` D, `crossing`; none where they read none.
+fn faces_of<R: Real, W: PairLaw>(_: &W, step: &Step<R>, moved: &[R], kept: &PairCache<R>) -> Buffer<R> {
+    let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
+    let (d, width) = (l.dimension, stride(record_fields(l.dimension, l.transport, l.heat)));
+    packed(model, if W::FACES { FACE } else { 0 }, |i, face| {
+        face.fill(R::default());
+        for k in 0..if W::FACES { d } else { 0 } {
+            if model.is_fluid(i) {
+                let temperature = || kept.records[i * width + record_temperature(d, l.transport)].f64();
+                face[k] = R::of(model.given(k, moved[n + i].f64(), temperature));
+            } else {
+                face[k] = model.normal(k, i);
+                face[d] += face[k] * moved[(l.velocity() + k) * n + i];
+            }
+        }
+    })
+}
+
+/// Adds the face of the neighbours to their fields.
+#[inline(always)]
+fn face<L: Lanes, W: PairLaw, const D: usize>(faces: Records<'_, L::Real>, names: Names<'_, L>, side: &mut Side<L, D>) {
+    if W::FACES {
+        let [face] = faces.groups(names);
+        side.facing.copy_from_slice(&face[..D]);
+        side.crossing = face[D];
+    }
+}
+
+/// The same of a row's own particle.
+#[inline(always)]
+fn own_face<L: Lanes, W: PairLaw, const D: usize>(faces: Records<'_, L::Real>, i: usize, side: &mut Side<L, D>) {
+    if W::FACES {
+        let face = faces.of(i);
+        for d in 0..D {
+            side.facing[d] = L::splat(face[d]);
+        }
+        side.crossing = L::splat(face[D]);
+    }
+}
+
 /// The records of a step.
 #[inline(always)]
 fn records<'a, R: Real, W: PairLaw, const D: usize>(step: &Step<R>, kept: &'a PairCache<R>) -> Records<'a, R> {
@@ -68,6 +113,7 @@ struct Forward<'a, R, W, const D: usize> {
     step: &'a Step<R>,
     laws: W,
     kept: &'a PairCache<R>,
+    faces: Records<'a, R>,
     mass: Masses<'a, R>,
     rates: Own<'a, R>,
 }
@@ -83,6 +129,7 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
         if W::MATERIALS {
             a.conductivity = L::splat(conductivities.of(i)[0]);
         }
+        own_face::<L, W, D>(self.faces, i, &mut a);
         let prepared = self.laws.prepare(&a);
         let volume2 = a.volume * a.volume;
         let zero = [L::zero(); D];
@@ -94,10 +141,11 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
             if W::MATERIALS {
                 b.conductivity = conductivities.numbers(names);
             }
+            face::<L, W, D>(self.faces, names, &mut b);
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let weight = b.volume.mul_add(b.volume, volume2) * slope;
             let fluid = mask.up_to(k * L::COUNT, fluids);
-            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid, own_is_fluid: true };
             sums.common = zero;
             self.laws.add(&prepared, &pair, &mut sums);
             for d in 0..D {
@@ -146,12 +194,13 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> 
 
 /// The forward pass, on plain numbers, from [`PairCache`]'s pairs and records. `rates` must be zero for walls.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates: &mut [R]) {
-    let mass = Masses::new(&step.model, moved);
+    let (mass, n) = (Masses::new(&step.model, moved), step.model.particles());
     let rates = Own::new(rates);
-    with_laws!(&*step.model, |laws, D| run_rows(
-        &Forward::<R, _, D> { step, laws, kept, mass, rates },
-        step.list.fluid_rows.len(),
-    ))
+    with_laws!(&*step.model, |laws, D| {
+        let faces = faces_of(&laws, step, moved, kept);
+        let faces = Records::new(&faces, faces.len() / n.max(1), n);
+        run_rows(&Forward::<R, _, D> { step, laws, kept, faces, mass, rates }, step.list.fluid_rows.len())
+    })
 }
 
 /// The rates from the state at the step's end, which has them.
@@ -168,6 +217,7 @@ struct Backward<'a, R, W, const D: usize> {
     step: &'a Step<R>,
     laws: W,
     kept: &'a PairCache<R>,
+    faces: Records<'a, R>,
     /// Cotangents of the rates over mass, `[N, 4 or 8]`: acceleration D, [p(0) transport D], [K temperature].
     bars: Records<'a, R>,
     mass: Masses<'a, R>,
@@ -211,20 +261,31 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
         if W::MATERIALS {
             a.conductivity = L::splat(conductivities.of(i)[0]);
         }
+        own_face::<L, W, D>(self.faces, i, &mut a);
         let prepared = self.laws.prepare(&a);
         let own_bar = splat_fields::<L>(self.bars.of(i), bar_fields);
         let volume2 = a.volume * a.volume;
         let (zero, none) = ([L::zero(); D], L::zero());
-        let own =
-            SideBar { volume: none, density: none, velocity: zero, transport: zero, temperature: none, position: zero };
+        let own = SideBar {
+            volume: none,
+            density: none,
+            velocity: zero,
+            transport: zero,
+            temperature: none,
+            facing: zero,
+            crossing: none,
+            position: zero,
+        };
         let mut bar = PairBar { scalar: none, by_difference: zero, by_slope: none, own };
-        let fluids = if self.step.model.is_fluid(i) { list.fluid_count[i] as usize } else { 0 };
+        let own_is_fluid = self.step.model.is_fluid(i);
+        let fluids = if own_is_fluid { list.fluid_count[i] as usize } else { 0 };
         for (k, (names, mask)) in pairs::row::<L>(list, i).enumerate() {
             let (other, other_bar) = (records.fields(fields, names), self.bars.fields(bar_fields, names));
             let (there, mut b): ([L; D], _) = (vector(&other, 0), side::<L, W, D>(&other));
             if W::MATERIALS {
                 b.conductivity = conductivities.numbers(names);
             }
+            face::<L, W, D>(self.faces, names, &mut b);
             let (difference, square) = geometry.difference::<EDGE>(&here, &there);
             let (_, slope, curvature) = geometry.kernel.all(square);
             let (slope, curvature) = (mask.apply(slope), mask.apply(curvature));
@@ -232,7 +293,7 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
             let weight = volumes2 * slope;
             let bars = bars_of::<L, W, D>(&own_bar, &other_bar, &difference);
             let fluid = mask.up_to(k * L::COUNT, fluids);
-            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid };
+            let pair = Pair { own: &a, other: &b, difference, square, slope, weight, fluid, own_is_fluid };
             bar = PairBar { scalar: none, by_difference: zero, by_slope: none, ..bar };
             self.laws.adjoint(&prepared, &pair, &bars, &mut bar);
             bar.own.volume = (slope * bar.scalar).mul_add(two * a.volume, bar.own.volume);
@@ -282,10 +343,20 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
                 if let Some(buoyancy) = &model.buoyancy {
                     // (The records have the cotangents over the mass, zeros for walls.)
                     for d in 0..D {
-                        temperature_bar += R::of(buoyancy.by[d]) * self.bars.of(i)[d] * self.mass.of(i);
+                        let mut force_bar = self.bars.of(i)[d] * self.mass.of(i);
+                        if W::FACES && model.is_fluid(i) {
+                            force_bar += bar.facing[d].sum();
+                        }
+                        temperature_bar += R::of(buoyancy.by[d]) * force_bar;
                     }
                 }
                 self.primitives_bar.set(l.primitive_temperature() * n + i, temperature_bar);
+            }
+            if W::FACES && !model.is_fluid(i) {
+                let crossing = bar.crossing.sum();
+                for d in 0..D {
+                    self.moved_bar.add((l.velocity() + d) * n + i, crossing * model.normal(d, i));
+                }
             }
             self.primitives_bar.set(i, density_bar);
             if l.mass {
@@ -295,66 +366,56 @@ impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D>
     }
 }
 
-/// Packs the cotangents, and adds the share of the factor 1/m_i to the cotangent of the mass.
-struct PackingBars<'a, R> {
-    step: &'a Step<R>,
-    moved: &'a [R],
-    /// Read where particles have masses of their own.
-    rates: &'a [R],
-    rates_bar: &'a [R],
-    mass: Masses<'a, R>,
-    bars: Own<'a, R>,
-    moved_bar: Own<'a, R>,
-}
-
-impl<R: Real> RowKernel<R> for PackingBars<'_, R> {
-    #[inline(always)]
-    fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
-        let model = &*self.step.model;
-        let (n, l) = (model.particles(), model.layout);
-        let d = l.dimension;
-        let width = stride(bar_fields(d, l.transport, l.heat));
-        let vacuum = R::of(model.equation_of_state.at_vacuum());
-        let conduction = R::of(conduction::factor(model));
-        for i in rows {
-            // SAFETY: each row writes its own record.
-            let bar = unsafe { self.bars.slice(i * width..(i + 1) * width) };
-            bar.fill(R::default());
-            if !model.is_fluid(i) {
-                continue;
-            }
-            let inverse_mass = R::of(1.0) / self.mass.of(i);
-            // Cotangent . (pair part of the rates).
-            let mut power = R::default();
-            for k in 0..d {
-                let a = self.rates_bar[k * n + i];
-                bar[k] = a * inverse_mass;
-                let temperature = l.moved_temperature() * n + i;
-                let given = R::of(model.given(k, self.moved[n + i].f64(), || self.moved[temperature].f64()));
-                if l.mass {
-                    power += a * (self.rates[k * n + i] - given);
-                }
-                if l.transport {
-                    let b = self.rates_bar[(d + k) * n + i];
-                    bar[d + k] = vacuum * b * inverse_mass;
-                    if l.mass {
-                        power += b * self.rates[(d + k) * n + i];
-                    }
-                }
-            }
-            if l.heat && conduction::conducts(model, self.moved[i]) {
-                let t = self.rates_bar[l.rate_temperature() * n + i];
-                bar[if l.transport { 2 * d } else { d }] =
-                    conduction * t * inverse_mass / conduction::capacity(model, i);
-                if l.mass {
-                    power += t * self.rates[l.rate_temperature() * n + i];
-                }
-            }
+/// Packs the cotangents, and adds the share of the factor 1/m_i to the cotangent of the mass. `rates` are read where particles have masses
+/// of their own.
+fn pack_bars<R: Real>(
+    step: &Step<R>,
+    moved: &[R],
+    rates: &[R],
+    rates_bar: &[R],
+    moved_bar: &Own<'_, R>,
+    mass: Masses<'_, R>,
+) -> Buffer<R> {
+    let model = &*step.model;
+    let (n, l) = (model.particles(), model.layout);
+    let d = l.dimension;
+    let vacuum = R::of(model.equation_of_state.at_vacuum());
+    let conduction = R::of(conduction::factor(model));
+    packed(model, stride(bar_fields(d, l.transport, l.heat)), |i, bar| {
+        bar.fill(R::default());
+        if !model.is_fluid(i) {
+            return;
+        }
+        let inverse_mass = R::of(1.0) / mass.of(i);
+        // Cotangent . (pair part of the rates).
+        let mut power = R::default();
+        for k in 0..d {
+            let a = rates_bar[k * n + i];
+            bar[k] = a * inverse_mass;
+            let temperature = l.moved_temperature() * n + i;
+            let given = R::of(model.given(k, moved[n + i].f64(), || moved[temperature].f64()));
             if l.mass {
-                self.moved_bar.add(l.moved_mass() * n + i, -power * inverse_mass);
+                power += a * (rates[k * n + i] - given);
+            }
+            if l.transport {
+                let b = rates_bar[(d + k) * n + i];
+                bar[d + k] = vacuum * b * inverse_mass;
+                if l.mass {
+                    power += b * rates[(d + k) * n + i];
+                }
             }
         }
-    }
+        if l.heat && conduction::conducts(model, moved[i]) {
+            let t = rates_bar[l.rate_temperature() * n + i];
+            bar[if l.transport { 2 * d } else { d }] = conduction * t * inverse_mass / conduction::capacity(model, i);
+            if l.mass {
+                power += t * rates[l.rate_temperature() * n + i];
+            }
+        }
+        if l.mass {
+            moved_bar.add(l.moved_mass() * n + i, -power * inverse_mass);
+        }
+    })
 }
 
 /// The adjoint, on plain numbers: adds to `moved_bar`; `primitives_bar` must be zero for particles without a row. `rates` are read where
@@ -372,16 +433,15 @@ pub fn backward<R: Real>(
     let (n, l) = (model.particles(), model.layout);
     let mass = Masses::new(model, moved);
     let width = stride(bar_fields(l.dimension, l.transport, l.heat));
-    let mut bars = model.scratch.buffers.buffer(width * n);
-    let packing =
-        PackingBars { step, moved, rates, rates_bar, mass, bars: Own::new(&mut bars), moved_bar: Own::new(moved_bar) };
-    run_rows(&packing, n);
-    let (bars, moved_bar, primitives_bar) =
-        (Records::new(&bars, width, n), Own::new(moved_bar), Own::new(primitives_bar));
-    with_laws!(model, |laws, D| run_rows(
-        &Backward::<R, _, D> { step, laws, kept, bars, mass, moved_bar, primitives_bar },
-        pairs::all_rows(&step.list),
-    ));
+    let (moved_bar, primitives_bar) = (Own::new(moved_bar), Own::new(primitives_bar));
+    let bars = pack_bars(step, moved, rates, rates_bar, &moved_bar, mass);
+    let bars = Records::new(&bars, width, n);
+    with_laws!(model, |laws, D| {
+        let faces = faces_of(&laws, step, moved, kept);
+        let faces = Records::new(&faces, faces.len() / n.max(1), n);
+        let backward = Backward::<R, _, D> { step, laws, kept, faces, bars, mass, moved_bar, primitives_bar };
+        run_rows(&backward, pairs::all_rows(&step.list))
+    });
 }
 
 /// The same from ordinary candle ops: the oracle.
@@ -404,24 +464,30 @@ pub fn composed<R: Real>(
     let of_materials = |what: fn(&Materials<R>) -> &Vec<R>| {
         materials.map(|materials| masks::per_particle(what(materials).clone(), moved)).transpose()
     };
+    let given = model.given_composed(&moved.narrow(0, 0, d)?, primitives, l.primitive_temperature())?;
+    let velocity = primitives.narrow(0, l.primitive_velocity(), d)?;
+    let walls = pairs.is_fluid.affine(-1.0, 1.0)?;
+    let of_walls = moved.narrow(0, l.velocity(), d)?.broadcast_mul(&walls)?;
+    let faces = Faces {
+        given: given.clone(),
+        normals: model.normals(moved)?,
+        velocity: (velocity.broadcast_mul(&pairs.is_fluid)? + of_walls)?,
+    };
     let fields = PairFields {
         volume,
         density,
-        velocity: primitives.narrow(0, l.primitive_velocity(), d)?,
+        velocity,
         shift: optional(l.transport, l.primitive_shift(), d)?,
         temperature: optional(l.heat, l.primitive_temperature(), 1)?,
         conductivity: of_materials(|materials| &materials.conductivity)?,
         slope,
         weight,
         mass: mass.clone(),
+        faces,
     };
     let mut sums = PairTensors::default();
-    let given = model.given_composed(&moved.narrow(0, 0, d)?, primitives, l.primitive_temperature())?;
     if let Flux::Riemann(law) = &model.laws.flux {
-        let (state, normals) = (model.equation_of_state, evolution::normals(step, moved)?);
-        let velocity = moved.narrow(0, l.velocity(), d)?;
-        let around = Surroundings { pairs, state, given: &given, normals: &normals, velocity: &velocity };
-        PairTensors::add(&mut sums.force, law.force(&around, &fields, model.viscosity)?)?;
+        law.fluxes(model.equation_of_state, model.viscosity).composed(pairs, &fields, &mut sums)?;
         if l.transport {
             TransportVelocity::spread(pairs, &fields, &mut sums)?;
         }
@@ -432,9 +498,6 @@ pub fn composed<R: Real>(
         model.laws.further.composed(pairs, &fields, &mut sums)?;
     } else {
         with_laws!(model, |laws, _D| laws.composed(pairs, &fields, &mut sums))?;
-    }
-    if let Flux::Delta(_, diffusion) = &model.laws.flux {
-        PairTensors::add(&mut sums.force, diffusion.composed(pairs, &fields)?)?;
     }
     if let Some(common) = &sums.common {
         PairTensors::add(&mut sums.force, common.broadcast_mul(&fields.weight)?.sum(2)?)?;

@@ -11,6 +11,12 @@ pub const fn record_temperature(d: usize, transport: bool) -> usize {
     record_fields(d, transport, false)
 }
 
+/// Numbers of a record of what the rate of the density reads: position D, velocity D, volume, c (of the adjoint).
+pub const FLOW: usize = 8;
+
+/// Numbers of a record of what a [term](crate::sph::laws::continuity::DensityTerm) of that rate reads: density, vector D.
+pub const TERM: usize = 4;
+
 /// Calls a macro with a layout's dimension, transport velocity and heat as literals.
 macro_rules! dispatch {
     ($layout:expr, $go:ident) => {

@@ -18,13 +18,12 @@
 //! that they reach.
 
 use super::chain::{Chain, Masses, Step};
-use super::evolution;
 use super::model::Standard;
 use super::pair_cache::PairCache;
 use super::records::{dispatch, record_fields, record_temperature};
 use super::sweeps::Sweeps;
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::laws::body_force::BodyForce;
@@ -173,6 +172,16 @@ fn averages<R: Real, const D: usize>(step: &Step<R>, weight: R, sums: &Averages<
     average
 }
 
+/// n n.x, the part of a vector at a wall particle that crosses the wall.
+#[inline(always)]
+fn across<R: Real, const D: usize>(model: &Standard<R>, i: usize, x: &[R; D]) -> [R; D] {
+    let mut along = R::default();
+    for d in 0..D {
+        along += x[d] * model.normal(d, i);
+    }
+    array(|d| along * model.normal(d, i))
+}
+
 /// A wall particle's own fields, from the averages: density, velocity, shift, temperature.
 struct WallValues<R, const D: usize> {
     density: R,
@@ -191,16 +200,26 @@ fn wall_values<R: Real, const D: usize>(
     let (model, n, l) = (&*step.model, step.model.particles(), step.model.layout);
     let two = R::of(2.0);
     let mut values = WallValues {
-        density: model.equation_of_state.density(average.pressure),
+        density: match (model.laws.flux, l.density) {
+            (Flux::Riemann(_), true) => moved[l.moved_density() * n + i],
+            (Flux::Riemann(_), false) => R::of(model.equation_of_state.reference_density),
+            _ => model.equation_of_state.density(average.pressure),
+        },
         velocity: [R::default(); D],
         shift: [R::default(); D],
         temperature: R::default(),
     };
-    for d in 0..D {
-        values.velocity[d] = two * moved[(l.velocity() + d) * n + i] - average.velocity[d];
-        if l.transport {
-            values.shift[d] = two * moved[(l.moved_shift() + d) * n + i] - average.shift[d];
+    let mirrored = |row: usize, average: &[R; D]| {
+        let own: [R; D] = array(|d| moved[(row + d) * n + i]);
+        if model.laws.slip == Slip::None {
+            return array(|d| two * own[d] - average[d]);
         }
+        let across: [R; D] = across(model, i, &array(|d| own[d] - average[d]));
+        array(|d| average[d] + two * across[d])
+    };
+    values.velocity = mirrored(l.velocity(), &average.velocity);
+    if l.transport {
+        values.shift = mirrored(l.moved_shift(), &average.shift);
     }
     if let Some(heat) = &model.heat {
         values.temperature = heat.wall_constant[i] + heat.wall_factor[i] * average.temperature;
@@ -421,19 +440,32 @@ impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel
             let mut weight_bar = R::default();
             // SAFETY: each wall row writes its own record.
             let record = unsafe { self.sums_bar.slice(i * width..(i + 1) * width) };
+            // <x> - 2 n n.<x> where the flow slips, else -<x>.
+            let turned = |row: usize| {
+                let bar: [R; D] = array(|d| bar(row + d, i));
+                if model.laws.slip == Slip::None {
+                    return array(|d| -bar[d]);
+                }
+                let across = across(model, i, &bar);
+                array(|d| bar[d] - R::of(2.0) * across[d])
+            };
+            let velocity_bar: [R; D] = turned(l.primitive_velocity());
+            let shift_bar: [R; D] = if TRANSPORT { turned(l.primitive_shift()) } else { velocity_bar };
             for d in 0..D {
-                sums_bar.velocity[d] = -bar(l.primitive_velocity() + d, i) * inverse;
+                sums_bar.velocity[d] = velocity_bar[d] * inverse;
                 weight_bar -= sums_bar.velocity[d] * average.velocity[d];
                 record[1 + d] = sums_bar.velocity[d];
                 if TRANSPORT {
-                    sums_bar.shift[d] = -bar(l.primitive_shift() + d, i) * inverse;
+                    sums_bar.shift[d] = shift_bar[d] * inverse;
                     weight_bar -= sums_bar.shift[d] * average.shift[d];
                     record[1 + D + d] = sums_bar.shift[d];
                 }
             }
             let at = 1 + D * (1 + TRANSPORT as usize);
             let own_density = records.of(i)[D + 1];
-            sums_bar.pressure = bar(0, i) / model.equation_of_state.slope(own_density) * inverse;
+            if !matches!(model.laws.flux, Flux::Riemann(_)) {
+                sums_bar.pressure = bar(0, i) / model.equation_of_state.slope(own_density) * inverse;
+            }
             weight_bar -= sums_bar.pressure * average.pressure;
             record[at] = sums_bar.pressure;
             if let Some(heat) = &model.heat {
@@ -596,8 +628,10 @@ pub fn backward<R: Real>(
     let (model, list) = (&*step.model, &*step.list);
     let (n, l) = (model.particles(), model.layout);
     let d = l.dimension;
-    // Fluid fields are copies; a wall's own velocity counts twice, its own temperature not at all.
-    let two = R::of(2.0);
+    // Fluid fields are copies; a wall's own velocity counts twice (where the flow slips, what crosses the wall), its own
+    // temperature not at all.
+    let slips = model.laws.slip == Slip::Free;
+    let two = if slips { R::default() } else { R::of(2.0) };
     let mut copy = |to: usize, from: usize, count: usize, wall: R| {
         let from = &primitives_bar[from * n..(from + count) * n];
         let to = Own::new(&mut moved_bar[to * n..(to + count) * n]);
@@ -609,6 +643,19 @@ pub fn backward<R: Real>(
     }
     if l.heat {
         copy(l.moved_temperature(), l.primitive_temperature(), 1, R::default());
+    }
+    let walls = |wanted: bool| (0..if wanted { n } else { 0 }).filter(move |&i| !model.is_fluid(i));
+    for i in walls(slips) {
+        let vectors =
+            [(l.velocity(), l.primitive_velocity(), true), (l.moved_shift(), l.primitive_shift(), l.transport)];
+        for (to, from, _) in vectors.into_iter().filter(|(_, _, is_there)| *is_there) {
+            let bar: [R; 3] = array(|k| if k < d { primitives_bar[(from + k) * n + i] } else { R::default() });
+            let along = (0..d).map(|k| bar[k] * model.normal(k, i)).sum::<R>();
+            (0..d).for_each(|k| moved_bar[(to + k) * n + i] += R::of(2.0) * along * model.normal(k, i));
+        }
+    }
+    for i in walls(l.density && matches!(model.laws.flux, Flux::Riemann(_))) {
+        moved_bar[l.moved_density() * n + i] += primitives_bar[i];
     }
     // (Where it is zero.)
     run_rows(&Handing { model, from: &primitives_bar[..n], to: Own::new(density_bar), wall: R::default() }, n);
@@ -717,7 +764,7 @@ pub fn composed<R: Real>(step: &Step<R>, pairs: &composed::Pairs, moved: &Tensor
     };
     let mut rows = vec![choose(density, &of_wall)?];
     let normals = match model.laws.slip {
-        Slip::Free => Some(evolution::normals(step, moved)?),
+        Slip::Free => Some(model.normals(moved)?),
         Slip::None => None,
     };
     // What a wall's particle shows of a vector field.
