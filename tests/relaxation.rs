@@ -107,7 +107,7 @@ fn a_pseudo_step_is_the_sum_over_all_pairs() {
     let metadata = box_of(1.2, true);
     let (now, last) = lattice(12, 0.0, 0.6);
     // Three rows of walls below and above.
-    let kind: Vec<i32> = (0..144).map(|i| i32::from(i < 36 || i >= 108)).collect();
+    let kind: Vec<i32> = (0..144).map(|i| i32::from(!(36..108).contains(&i))).collect();
     let scenery = Scenery { metadata: &metadata, kind: &kind, wall_temperature: None };
     let own = Relaxation { steps: 1, strength: 0.03, viscosity: 0.2 };
     let found = numbers(&own.apply(&scenery, &tensor(&last), &tensor(&now)).unwrap());
@@ -157,7 +157,7 @@ fn relaxation_spreads_particles_and_keeps_their_centre() {
 fn the_gradient_is_that_of_differences() {
     let metadata = box_of(1.2, true);
     let (now, last) = lattice(12, 0.0, 0.3);
-    let kind: Vec<i32> = (0..144).map(|i| i32::from(i < 36 || i >= 108)).collect();
+    let kind: Vec<i32> = (0..144).map(|i| i32::from(!(36..108).contains(&i))).collect();
     let scenery = Scenery { metadata: &metadata, kind: &kind, wall_temperature: None };
     let own = Relaxation { steps: 2, strength: 0.03, viscosity: 0.1 };
     let weights: Vec<f64> = (0..288).map(|k| ((k * k + 3) as f64).sin()).collect();
