@@ -110,7 +110,7 @@ pub fn sharing<R: Sweeps>(model: &Model<R>, ranks: &Ranks) -> Result<Sharing, Ba
             .allowed(
                 "consistent, or standard with flux = pair, density_renormalisation = false and wall.slip = no-slip",
             )
-            .advice("start it without mpirun, with --threads"));
+            .advice("start it without mpirun"));
     };
     let (n, least) = (model.particles(), 100 * ranks.size());
     match n >= least {
