@@ -18,6 +18,7 @@ mod custom_design;
 mod custom_scene;
 mod damaged_files;
 mod dataset;
+mod decomposition;
 mod design;
 mod design_command;
 mod design_optimisers;

@@ -1,4 +1,4 @@
-//! Training by several processes over MPI: the same training, whatever their number. (Feature `mpi`, and `mpirun`.)
+//! Training and simulating by several processes over MPI: the same result, whatever their number. (Feature `mpi`, and `mpirun`.)
 #![cfg(feature = "mpi")]
 
 use crate::support::program::succeeds;
@@ -21,19 +21,22 @@ fn data() -> &'static Path {
         .path()
 }
 
-/// `hydrograd train` by so many ranks; more of them than cores.
-fn train(ranks: usize, out: &Path, more: &[&str]) -> Command {
+/// `hydrograd` by so many ranks, more of them than cores; 0: without mpirun.
+fn hydrograd(ranks: usize) -> Command {
     let program = assert_cmd::cargo::cargo_bin("hydrograd");
-    let mut command = match ranks {
-        0 => Command::new(&program),
-        _ => {
-            let mut command = Command::new("mpirun");
-            // Tests run in containers, as root and with fewer cores than ranks.
-            command.env("OMPI_ALLOW_RUN_AS_ROOT", "1").env("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1");
-            command.args(["-n", &ranks.to_string(), "--oversubscribe", "--bind-to", "none"]).arg(&program);
-            command
-        }
-    };
+    if ranks == 0 {
+        return Command::new(&program);
+    }
+    let mut command = Command::new("mpirun");
+    // Tests run in containers, as root and with fewer cores than ranks.
+    command.env("OMPI_ALLOW_RUN_AS_ROOT", "1").env("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1");
+    command.args(["-n", &ranks.to_string(), "--oversubscribe", "--bind-to", "none"]).arg(&program);
+    command
+}
+
+/// `hydrograd train` by so many ranks.
+fn train(ranks: usize, out: &Path, more: &[&str]) -> Command {
+    let mut command = hydrograd(ranks);
     command.args(["train", "--threads", "1", "--data"]).arg(data().join("data")).arg("--out").arg(out);
     for set in [
         "model.latent=8",
@@ -123,10 +126,14 @@ fn ranks_of(mpirun: &Child) -> Vec<i32> {
 
 /// Begins a long training by two ranks, and waits for its first checkpoint.
 fn begun(out: &Path) -> Child {
-    let mut command = train(2, out, &["--steps", "100000", "--deterministic"]);
+    started(&mut train(2, out, &["--steps", "100000", "--deterministic"]), &out.join("last.safetensors"))
+}
+
+/// Begins a run, and waits for a file.
+fn started(command: &mut Command, file: &Path) -> Child {
     let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let limit = Instant::now() + Duration::from_secs(120);
-    while !out.join("last.safetensors").exists() {
+    while !file.exists() {
         assert!(Instant::now() < limit, "no checkpoint in two minutes");
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -194,4 +201,176 @@ fn bad_input_is_told_once() {
         assert_eq!(said.matches(text).count(), 1, "{said}");
         assert!(!out.exists());
     }
+}
+
+/// `hydrograd simulate` by so many ranks.
+fn simulate(ranks: usize, scene: &str, out: &Path) -> Command {
+    let mut command = hydrograd(ranks);
+    command.arg("simulate").args(scene.split(' ')).args(["--threads", "1", "--out"]).arg(out);
+    command
+}
+
+/// The state at the end, `[F, N]`, and what was printed.
+fn simulated(ranks: usize, scene: &str, out: &Path) -> (Vec<f64>, usize, String) {
+    let output = output(&mut simulate(ranks, scene, out));
+    assert!(output.status.success(), "{scene}: {}", String::from_utf8_lossy(&output.stderr));
+    let file = TensorFile::read(&out.join("checkpoint.safetensors")).unwrap();
+    let (shape, _) = &file.tensors["state"];
+    let state = file.f64("state", shape).unwrap();
+    (state.to_vec(), shape[1], String::from_utf8(output.stdout).unwrap())
+}
+
+/// Largest difference of two states, over the largest number of its row or 1.
+fn difference(a: &[f64], b: &[f64], n: usize) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let row = |(a, b): (&[f64], &[f64])| {
+        let scale = a.iter().fold(1.0f64, |most, x| most.max(x.abs()));
+        a.iter().zip(b).fold(0.0f64, |most, (a, b)| most.max((a - b).abs())) / scale
+    };
+    a.chunks_exact(n).zip(b.chunks_exact(n)).map(row).fold(0.0, f64::max)
+}
+
+/// Scenes of every kind: periodic, walled, with a free surface; in two and three dimensions; both methods that move particles; heat, a drive,
+/// gravity, a transport velocity.
+const SCENES: [&str; 11] = [
+    "taylor-green --set time.cfl=0.25 --set time.steps=200",
+    "taylor-green --method standard --set time.steps=200",
+    "heated-channel --set time.steps=200 --set objective.window=0.05",
+    "heated-channel --set fluid.drive=flow-rate --set time.steps=200 --set objective.window=0.05",
+    "heated-channel --method standard --set method.transport_velocity=1 --set time.steps=200 --set objective.window=0.05",
+    "lid-driven-cavity --dx 0.05 --set time.steps=200",
+    "lid-driven-cavity --method standard --dx 0.05 --set time.cfl=0.25 --set time.steps=200",
+    "dam-break --set tank.length=5.4 --dx 0.1 --set time.cfl=0.15 --set time.steps=200",
+    "heated-cavity --method consistent --dx 0.05 --set time.steps=200",
+    "taylor-green-3d --set time.cfl=0.25 --set time.steps=200",
+    "lid-driven-cavity-3d --dx 0.125 --set time.cfl=0.5 --set time.steps=200",
+];
+
+/// 200 steps by two and three ranks are those of one process to 1e-12. (Vortices with the longest steps go through three turnovers, over which
+/// rounding grows by 1e5 whatever makes it: fused and composed kernels of one process are 3e-11 apart.)
+#[test]
+fn a_flow_over_ranks_is_that_of_one() {
+    for scene in SCENES {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(name);
+        let (wanted, n, _) = simulated(0, scene, &place("alone"));
+        for ranks in [2, 3] {
+            let (state, _, said) = simulated(ranks, scene, &place(&ranks.to_string()));
+            let worst = difference(&wanted, &state, n);
+            println!("{scene}: {ranks} ranks, {worst:.1e}");
+            assert!(worst <= 1e-12, "{scene}, {ranks} ranks: {worst}");
+            assert_eq!(said.matches("a rank has ").count(), 1, "one rank speaks: {said}");
+            let (own, alone) = (place(&ranks.to_string()), place("alone"));
+            for file in ["state.h5", "history.csv", "summary.json", "report.html", "config.toml"] {
+                assert!(own.join(file).exists() && alone.join(file).exists(), "{scene}: {file}");
+            }
+        }
+    }
+}
+
+/// The same number of ranks makes the same bits, and f32 is as near as it can be.
+#[test]
+fn as_many_ranks_make_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let [once, again] = ["once", "again"].map(|name| simulated(3, SCENES[0], &place(name)).0);
+    assert!(once == again);
+    let single = format!("{} --precision f32", SCENES[0]);
+    let (wanted, n, _) = simulated(0, &single, &place("single"));
+    let worst = difference(&wanted, &simulated(2, &single, &place("single-2")).0, n);
+    assert!(worst < 1e-4, "{worst}");
+}
+
+/// Begun by three ranks, ended by two, lengthened by one: as if nothing had happened.
+#[test]
+fn a_flow_goes_on_with_other_ranks() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, parts]: [PathBuf; 2] = ["whole", "parts"].map(|name| folder.path().join(name));
+    let scene = "taylor-green --set time.step=0.001 --set time.end=";
+    let (wanted, n, _) = simulated(0, &format!("{scene}0.2"), &whole);
+    simulated(3, &format!("{scene}0.1"), &parts);
+    let resumed = |end: &str| format!("--resume {} --set time.end={end}", parts.display());
+    simulated(2, &resumed("0.15"), &parts);
+    let worst = difference(&wanted, &simulated(0, &resumed("0.2"), &parts).0, n);
+    assert!(worst <= 1e-12, "{worst}");
+}
+
+/// A rank that is gone ends the others, and the run goes on from its last checkpoint. So does one that was told to stop, and one that could
+/// not write.
+#[test]
+fn a_flow_that_ended_early_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = "taylor-green --set time.step=0.0005 --set time.end=20";
+    for end in ["killed", "stopped", "unwritable"] {
+        let out = folder.path().join(end);
+        let child = started(&mut simulate(2, scene, &out), &out.join("checkpoint.safetensors"));
+        match end {
+            "killed" => signal(ranks_of(&child)[1], libc::SIGKILL),
+            "stopped" => signal(i32::try_from(child.id()).unwrap(), libc::SIGTERM),
+            _ => {
+                std::fs::remove_file(out.join("history.csv")).unwrap();
+                std::fs::create_dir_all(out.join("history.csv/full")).unwrap();
+            }
+        }
+        let clock = Instant::now();
+        let output = child.wait_with_output().unwrap();
+        let (took, said) = (clock.elapsed(), String::from_utf8_lossy(&output.stderr));
+        assert!(took < Duration::from_secs(20) && !output.status.success(), "{end}: {took:?}, {said}");
+        match end {
+            "killed" => assert!(said.contains("signal 9"), "{said}"),
+            "stopped" => assert_eq!(said.matches("keeps what there is").count(), 1, "one rank speaks: {said}"),
+            _ => {
+                assert_eq!((output.status.code(), said.matches("error: ").count()), (Some(1), 1), "{said}");
+                std::fs::remove_dir_all(out.join("history.csv")).unwrap();
+            }
+        }
+        let steps = || TensorFile::read(&out.join("checkpoint.safetensors")).unwrap().text("step").unwrap().to_owned();
+        let kept: f64 = steps().parse().unwrap();
+        let until = 0.0005 * (kept + 20.0);
+        simulated(3, &format!("--resume {} --set time.end={until}", out.display()), &out);
+        assert_eq!(steps(), (kept + 20.0).to_string());
+    }
+}
+
+#[test]
+fn what_ranks_cannot_share_is_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    for (scene, text, advice) in [
+        ("taylor-green --set time.clf=1", "unknown field `clf`", ""),
+        ("taylor-green --recover", "--recover over several ranks", "time.cfl=0.5"),
+        ("taylor-green --error", "--error over several ranks", "one process"),
+        ("taylor-green --kernels composed", "composed kernels over several ranks", "without mpirun"),
+        ("heated-channel --method fixed", "method.name = fixed over several ranks", "without mpirun"),
+        ("vortex-street", "over several ranks", "without mpirun"),
+        (
+            "taylor-green --method standard --set method.density_equation=evolution --set method.flux=delta",
+            "these keys",
+            "without mpirun",
+        ),
+        ("taylor-green --dx 0.1", "100 particles for 2 ranks", "fewer ranks"),
+    ] {
+        let output = output(&mut simulate(2, scene, &out));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{scene}: {said}");
+        assert_eq!(said.lines().filter(|line| line.starts_with("error: ")).count(), 1, "{scene}: {said}");
+        assert!(said.contains(text) && said.contains(advice), "{scene}: {said}");
+        assert!(!out.exists(), "{scene}");
+    }
+}
+
+/// A run that diverges says so as one process does.
+#[test]
+fn a_flow_that_diverges_is_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = "heated-channel --set time.cfl=2 --set design.shape=sine --set design.amplitude=0.02 --set time.end=1 --set objective.window=0.2";
+    let [alone, both] = [0, 2].map(|ranks| {
+        let out = folder.path().join(ranks.to_string());
+        let output = output(&mut simulate(ranks, scene, &out));
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(3), "{said}");
+        assert!(out.join("last-good.safetensors").exists(), "{said}");
+        said.lines().find(|line| line.contains("error: ")).unwrap().to_owned()
+    });
+    assert_eq!(alone, both);
 }

@@ -443,6 +443,17 @@ fn ranks_are_started_and_told_by_slurm() {
 }
 
 #[test]
+fn a_flow_has_ranks_too() {
+    let (job, _) = jobs_of("--ranks 4 --cpus 2 simulate taylor-green --out runs/none").unwrap();
+    let wanted = Wanted { program: vec!["hydrograd".into()], ..wanted() };
+    let text = job.text(&wanted, Path::new("a.sh")).unwrap();
+    let srun = "srun --mpi=pmix --kill-on-bad-exit --cpus-per-task=2 hydrograd simulate";
+    for part in ["#SBATCH --ntasks=4", &format!("{srun} taylor-green"), &format!("{srun} --resume runs/none")] {
+        assert!(text.contains(part), "no `{part}` in {text}");
+    }
+}
+
+#[test]
 fn what_an_array_means_follows_from_the_command() {
     let command = |job: &Job| job.command.join(" ");
     let (main, merge) = jobs_of("generate --trajectories 3/1/1 --out runs/none").unwrap();
@@ -476,7 +487,11 @@ fn mistakes_are_told_before_the_queue() {
         ("slurm generate", ["no shares", "sbatch --wrap"]),
         ("--tasks 2 simulate", ["--tasks 2", "generate, stress"]),
         ("--tasks 5 optimize --start all --out runs/none", ["--tasks 5", "1 ... 4"]),
-        ("--ranks 2 generate --out runs/none", ["--ranks 2", "train"]),
+        ("--ranks 2 generate --out runs/none", ["--ranks 2", "train, simulate"]),
+        (
+            "--ranks 2 simulate --method fixed --out runs/none",
+            ["method.name = fixed over several ranks", "without mpirun"],
+        ),
         ("stress --shard 0/4", ["--shard", "share of its own"]),
         ("optimize --overwrite", ["--overwrite", "lose"]),
         ("study --data nowhere --grid noise=1 --steps 5", ["--data nowhere", "data set"]),

@@ -9,6 +9,10 @@ pub const CHECK_EVERY: usize = 64;
 pub trait Observer<D: Dynamics> {
     /// Sees the run at its start and after each step.
     fn see(&mut self, dynamics: &D, run: &mut D::Run) -> anyhow::Result<()>;
+    /// Whether it does anything after so many steps. Who makes them elsewhere shows it only those.
+    fn wants(&self, _step: usize) -> bool {
+        true
+    }
 }
 
 impl<D: Dynamics, F: FnMut(&D, &mut D::Run) -> anyhow::Result<()>> Observer<D> for F {

@@ -29,6 +29,7 @@ pub mod page;
 mod periodic_box;
 pub(crate) mod prepare;
 pub mod program;
+mod ranks;
 mod recover;
 mod rollout;
 mod run_folder;
@@ -176,7 +177,9 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
     }
     env_logger::Builder::from_default_env().init();
     match cli.command {
-        Command::Simulate(arguments) => on(arguments.load()?, |scene| simulate::run(scene, arguments)),
+        Command::Simulate(arguments) => {
+            ranks::together(|ranks| on(arguments.load()?, |scene| simulate::run(scene, arguments, ranks)))
+        }
         Command::Optimize(arguments) => on(arguments.load()?, |scene| optimize::run(scene, arguments)),
         Command::Verify(arguments) => verify::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),

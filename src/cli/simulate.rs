@@ -12,11 +12,13 @@ use super::simulate_report::{report_design, report_flow, Finished};
 use super::{around_bodies, around_in_time, around_shapes, periodic_box};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::{Dynamics, RunError};
+use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
-use crate::config::scene::Precision;
+use crate::config::scene::{Kernels, Precision};
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
+use crate::numerics::ranks::Ranks;
 use crate::numerics::threads::{count, in_words};
 use crate::report::progress::Progress;
 use crate::scene::around_bodies::AroundBodies;
@@ -31,6 +33,7 @@ use crate::scene::{checkpoint, Scene};
 use crate::sph::divergence::{self, Divergence};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Snapshot;
+use crate::sph::spread;
 use crate::sph::Sweeps;
 use clap::Args;
 use std::path::Path;
@@ -56,6 +59,8 @@ Examples:
       steps that are too long: where it diverges it goes back and makes them shorter
   hydrograd simulate my.toml --set output.grid=[64,48]
       the flow at its end also on the points of a grid: grid.h5, grid.vti (scenes of your own)
+  mpirun -n 4 hydrograd simulate my.toml
+      one flow by four processes, on one machine or several (built with the feature mpi; particles that move)
   hydrograd simulate my.toml --precision f32 --threads 2
       a scene of your own: `hydrograd scenes heated-channel > my.toml` to begin with")]
 pub struct SimulateArguments {
@@ -98,13 +103,24 @@ const LAST_GOOD: &str = "last-good.safetensors";
 /// Number of times that steps are halved before a run is given up.
 const HALVINGS: usize = 4;
 
-pub fn run(mut loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<()> {
+pub fn run(mut loaded: Loaded, arguments: SimulateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let resume = arguments.resume.resume.as_deref();
     let folder = arguments.common.folder(resume, KIND, &loaded)?;
-    use_threads(loaded.config.run.threads);
+    let threads = loaded.config.run.threads;
+    use_threads(if threads == 0 { ranks.threads().unwrap_or(0) } else { threads });
     open_device(&loaded)?;
     if arguments.explain.explain {
-        return explain(&loaded, false);
+        return if ranks.rank() == 0 { explain(&loaded, false) } else { Ok(()) };
+    }
+    if ranks.size() > 1 {
+        check_shared(&loaded, &arguments)?;
+    }
+    if ranks.rank() > 0 {
+        interrupt::listen_quietly()?;
+        return match loaded.config.run.precision {
+            Precision::F32 => follow::<f32>(&loaded, resume, ranks),
+            Precision::F64 => follow::<f64>(&loaded, resume, ranks),
+        };
     }
     let halvings = if arguments.recover { HALVINGS } else { 0 };
     if arguments.recover && !loaded.config.method.facts().moves {
@@ -124,15 +140,84 @@ pub fn run(mut loaded: Loaded, arguments: SimulateArguments) -> anyhow::Result<(
         interrupt::listen("hydrograd simulate --accuracy".to_string())?;
         loaded = spacings.accurate(&loaded, accuracy)?;
     }
-    simulate(&loaded, &folder, resume, halvings)?;
+    simulate(&loaded, &folder, resume, halvings, ranks)?;
     match error || accuracy.is_some() {
         true => figure_errors::add(&loaded, &folder, &mut spacings),
         false => Ok(()),
     }
 }
 
+/// Checks that several ranks can share a run, as far as options and the configuration tell.
+pub(super) fn check_shared(loaded: &Loaded, arguments: &SimulateArguments) -> Result<(), BadInput> {
+    let ErrorArguments { error, accuracy } = &arguments.errors;
+    let options = [
+        (
+            "--recover",
+            arguments.recover,
+            "steps are made shorter by one process only",
+            "--set time.cfl=0.5 from the beginning",
+        ),
+        ("--error", *error, "it makes several runs", "--error in one process, at the spacings that it can hold"),
+        ("--accuracy", accuracy.is_some(), "it makes several runs", "--dx"),
+    ];
+    if let Some((option, _, why, advice)) = options.into_iter().find(|(_, is_given, ..)| *is_given) {
+        return Err(BadInput::new(format!("{option} over several ranks: {why}"))
+            .place(option)
+            .allowed("without mpirun, or without it")
+            .advice(advice));
+    }
+    let (config, alone) = (&loaded.config, "start it without mpirun, with --threads");
+    if !config.method.facts().moves {
+        return Err(loaded.located(
+            BadInput::new(format!(
+                "method.name = {} over several ranks: one matrix of the whole flow is solved",
+                config.method.name()
+            ))
+            .key("method.name")
+            .allowed("methods whose particles move, such as consistent")
+            .advice(alone),
+        ));
+    }
+    if config.run.kernels == Kernels::Composed || config.run.device != DeviceName::Cpu {
+        return Err(loaded.located(
+            BadInput::new("composed kernels over several ranks")
+                .key("run.kernels")
+                .allowed("fused, on the CPU")
+                .advice(alone),
+        ));
+    }
+    Ok(())
+}
+
+/// The state that a run begins with.
+fn first<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, resume: Option<&Path>) -> Result<Snapshot<R>, BadInput> {
+    match resume {
+        // The run ended before its first checkpoint.
+        Some(from) if !from.join(CHECKPOINT).exists() && is_unfinished(from, KIND) => Ok(scene.start.clone()),
+        Some(from) => checkpoint::read(&from.join(CHECKPOINT), &loaded.config, &scene.model),
+        None => Ok(scene.start.clone()),
+    }
+}
+
+/// Another rank's part of a run: its share of the particles.
+fn follow<R: Sweeps>(loaded: &Loaded, resume: Option<&Path>, ranks: &Ranks) -> anyhow::Result<()> {
+    let scene = Scene::<R>::from_config(&loaded.config)?;
+    let first = first(loaded, &scene, resume)?;
+    let sharing = spread::sharing(&scene.model, ranks)?;
+    let Scene { model, .. } = scene;
+    // Until no rank reads files of the folder any more.
+    ranks.all(&[0.0]);
+    spread::follow(model, first, (sharing, ranks))
+}
+
 /// Simulates into a folder.
-fn simulate(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usize) -> anyhow::Result<()> {
+fn simulate(
+    loaded: &Loaded,
+    folder: &Path,
+    resume: Option<&Path>,
+    halvings: usize,
+    ranks: &Ranks,
+) -> anyhow::Result<()> {
     if loaded.config.is_around_shapes() {
         if loaded.config.unsteady().is_some() {
             interrupt::listen("hydrograd simulate".to_string())?;
@@ -153,25 +238,31 @@ fn simulate(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usi
     }
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {
-        Precision::F32 => go::<f32>(loaded, folder, resume, halvings),
-        Precision::F64 => go::<f64>(loaded, folder, resume, halvings),
+        Precision::F32 => go::<f32>(loaded, folder, resume, halvings, ranks),
+        Precision::F64 => go::<f64>(loaded, folder, resume, halvings, ranks),
     }
 }
 
-fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings: usize) -> anyhow::Result<()> {
+fn go<R: Sweeps>(
+    loaded: &Loaded,
+    folder: &Path,
+    resume: Option<&Path>,
+    halvings: usize,
+    ranks: &Ranks,
+) -> anyhow::Result<()> {
     let config = &loaded.config;
     let scene = Scene::<R>::from_config(config)?;
-    let first = match resume {
-        // The run ended before its first checkpoint.
-        Some(from) if !from.join(CHECKPOINT).exists() && is_unfinished(from, KIND) => scene.start.clone(),
-        Some(from) => checkpoint::read(&from.join(CHECKPOINT), config, &scene.model)?,
-        None => scene.start.clone(),
-    };
+    let first = first(loaded, &scene, resume)?;
+    let sharing = (ranks.size() > 1).then(|| spread::sharing(&scene.model, ranks)).transpose()?;
     let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let began = first.step;
     check_unfinished(began, &scene)?;
-    let mut start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first))?;
-    let start = ParticleFields::of(&mut start)?;
+    let start = {
+        let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first));
+        ParticleFields::of(&mut start?)?
+    };
+    // Until no rank reads files of the folder any more.
+    ranks.all(&[0.0]);
     let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
     if let Some(design) = &scene.design {
@@ -212,7 +303,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let mut shape_heats = scene.shape_heats(config)?;
     let clock = Instant::now();
     let (mut from, mut recovered) = (first, Vec::<Recovery>::new());
-    let mut solver = loop {
+    let (mut solver, shares) = loop {
         let mut good = LastGood::new(&from);
         let mut observers: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut good];
         observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
@@ -220,8 +311,13 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
         observers.push(&mut history);
         observers.push(&mut checkpoints);
-        let error = match run_to_the_end(&dynamics, &from, scene.steps, &mut observers) {
-            Ok(solver) => break solver,
+        let ran = match sharing {
+            None => run_to_the_end(&dynamics, &from, scene.steps, &mut observers).map(|solver| (solver, None)),
+            Some(sharing) => spread::lead(&dynamics, &from, scene.steps, &mut observers, (sharing, ranks))
+                .map(|(solver, shares)| (solver, Some(shares))),
+        };
+        let error = match ran {
+            Ok(ran) => break ran,
             Err(error) => error.downcast::<RunError>()?,
         };
         let good = good.state();
@@ -260,10 +356,14 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
     let has_grid = write_grid(folder, config, &scene.model, &end)?;
     let (n, done, dt) = (scene.model.particles(), scene.steps - began, scene.model.dt);
     let each = 1e9 * seconds / (done * n) as f64;
-    println!(
-        "{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s on {} ({each:.0} ns per particle and step)",
-        in_words(count())
-    );
+    let on = match &shares {
+        Some(shares) => format!("{} ranks with {} each", shares.ranks, in_words(count())),
+        None => in_words(count()),
+    };
+    println!("{n} particles, {done} steps of {dt:.3e} in {seconds:.2} s on {on} ({each:.0} ns per particle and step)");
+    if let Some(shares) = &shares {
+        println!("{shares}");
+    }
     let divided = solver.divided;
     if let Some(Recovery { from_step, parts, .. }) = recovered.last() {
         let times = if recovered.len() == 1 { "once".into() } else { format!("{} times", recovered.len()) };
@@ -287,6 +387,7 @@ fn go<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, halvings
         seconds,
         divided,
         recovered: &recovered,
+        shares: shares.as_ref(),
         shape_heat: shape_heats.map_or(vec![], |it| it.mean()),
         pictures,
     };

@@ -16,6 +16,7 @@ use crate::scene::tank::pressure_error;
 use crate::scene::warnings::{self, Warning};
 use crate::scene::{Exact, Scene};
 use crate::sph::division::Divided;
+use crate::sph::spread::Shares;
 use crate::sph::Sweeps;
 use std::path::Path;
 
@@ -31,6 +32,8 @@ pub struct Finished<'a, R> {
     pub seconds: f64,
     pub divided: Divided,
     pub recovered: &'a [Recovery],
+    /// How several ranks shared the run.
+    pub shares: Option<&'a Shares>,
     /// Mean heat of each shape; empty where none is known.
     pub shape_heat: Vec<f64>,
     /// Text about ParaView frames.
@@ -66,6 +69,9 @@ pub fn report_design<R: Sweeps>(
     warnings.extend(warnings::of_measured(&loaded.config, d));
     record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
+    if let Some(shares) = finished.shares {
+        record.put("ranks", shares);
+    }
     files::write_summary(folder, &record)?;
     let is_deep = loaded.config.dimension() == 3;
     print_measured(&loaded.config, d);
@@ -177,6 +183,9 @@ pub fn report_flow<R: Sweeps>(
     }
     record.put_warnings(loaded, warnings);
     record.put("recovered", finished.recovered);
+    if let Some(shares) = finished.shares {
+        record.put("ranks", shares);
+    }
     files::write_summary(folder, &record)?;
     println!("time                {:.6}", found.time);
     if !rests {

@@ -1,11 +1,11 @@
 //! `hydrograd train`: trains a surrogate on a data set.
 
 use super::arguments::{set_option, threads, OverwriteArgument};
-use super::guard::{stopped_by, tell_error};
 use super::machine;
 use super::model_data::unreadable;
 use super::page;
 use super::prepare::{compute, use_threads};
+use super::ranks::together;
 use super::run_folder::{is_unfinished, Earlier, RunFolder};
 use crate::config::device::{Compute, DeviceName};
 use crate::config::layers::Setting;
@@ -27,7 +27,6 @@ use crate::surrogate::training::train::{Outcome, Training, METRICS};
 use clap::Args;
 use serde_json::{json, Value};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 /// Train a surrogate (graph network) on a data set of `generate`'s or in LagrangeBench's layout.
 #[derive(Debug, Clone, Args)]
@@ -103,26 +102,10 @@ pub fn run(arguments: TrainArguments) -> anyhow::Result<()> {
         print!("{}", settings.shown());
         return Ok(());
     }
-    let ranks = Ranks::of_environment()?;
-    let result = match ranks.rank() {
-        0 => lead(&arguments, &ranks),
-        rank => follow(&arguments, &ranks).map_err(|error| error.context(format!("rank {rank} of {}", ranks.size()))),
-    };
-    match result {
-        // A signal ends all ranks at the same step.
-        Err(error) if ranks.size() > 1 && stopped_by(&error).is_none() => {
-            if ranks.rank() > 0 {
-                // The first rank probably has the same error, reports it, and ends this one.
-                std::thread::sleep(Duration::from_secs(2));
-            }
-            let code = tell_error(&error);
-            machine::end(code);
-            ranks.abort(code);
-            Err(error)
-        }
-        Err(_) if ranks.rank() > 0 => Ok(()),
-        result => result,
-    }
+    together(|ranks| match ranks.rank() {
+        0 => lead(&arguments, ranks),
+        _ => follow(&arguments, ranks),
+    })
 }
 
 /// The input of a training on every rank.
@@ -175,7 +158,6 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
 
 /// Runs the other ranks, which train with their share of every batch.
 fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
-    machine::be_silent();
     let begun = arguments.begin(ranks)?;
     let mut training = begun.training(arguments, ranks)?;
     interrupt::listen_quietly()?;

@@ -138,6 +138,9 @@ struct Sample {
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Measurement<'_, R> {
+    fn wants(&self, step: usize) -> bool {
+        self.section.steps.contains(&step)
+    }
     fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if self.section.steps.contains(&solver.step) {
             self.samples.push(self.sample(dynamics, solver)?);

@@ -1,6 +1,7 @@
 //! Particles, the box they live in, and who is near whom: a cell grid and the padded neighbour list built from it.
 
 pub mod cells;
+pub mod decomposition;
 pub mod domain;
 mod error;
 pub mod neighbour_list;

@@ -34,8 +34,12 @@ pub struct NeighbourList {
     pub count: Vec<u32>,
     /// Of them, how many are fluid (they come first).
     pub fluid_count: Vec<u32>,
-    /// Fluid particles: the rows of density and forces.
+    /// Whether a fluid particle has a row, `[N]`; empty where all have.
+    pub own: Vec<bool>,
+    /// Fluid particles with a row: the rows of density and forces.
     pub fluid_rows: Vec<u32>,
+    /// Fluid particles without a row: copies of what other ranks have.
+    pub fluid_copies: Vec<u32>,
     /// Wall particles with a fluid particle in reach: the rows of the wall extrapolation.
     pub wall_rows: Vec<u32>,
     /// What [`Self::tensors`] has made.
@@ -106,11 +110,17 @@ impl NeighbourList {
             self.particles = n;
             self.count = vec![0; n];
             self.fluid_count = vec![0; n];
-            self.fluid_rows = (0..n as u32).filter(|i| !walls(i)).collect();
+            let has_row = |&i: &u32| self.own.is_empty() || self.own[i as usize];
+            (self.fluid_rows, self.fluid_copies) = (0..n as u32).filter(|i| !walls(i)).partition(has_row);
         }
         let geometry = Geometry::new(position, n, domain, reach)?;
-        workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
-        if workspace.wall.members.len() + self.fluid_rows.len() != n {
+        if self.fluid_copies.is_empty() {
+            workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
+        } else {
+            let all: Vec<u32> = (0..n as u32).filter(|i| !walls(i)).collect();
+            workspace.fluid.fill(&geometry, position, n, &all);
+        }
+        if workspace.wall.members.len() + workspace.fluid.members.len() != n {
             let all: Vec<u32> = (0..n as u32).filter(walls).collect();
             workspace.wall.fill(&geometry, position, n, &all);
         } else {
@@ -147,6 +157,7 @@ impl NeighbourList {
             fluid,
             wall,
             capacity: self.capacity,
+            own: &self.own,
             index: Shared::new(&mut self.index),
             count: Shared::new(&mut self.count),
             fluid_count: Shared::new(&mut self.fluid_count),
@@ -201,6 +212,7 @@ struct Search<'a, R, const D: usize> {
     fluid: &'a Cells<R>,
     wall: &'a Cells<R>,
     capacity: usize,
+    own: &'a [bool],
     index: Shared<'a, u32>,
     count: Shared<'a, u32>,
     fluid_count: Shared<'a, u32>,
@@ -226,8 +238,11 @@ impl<R: Real, const D: usize> RowKernel<R> for Search<'_, R, D> {
                 (cell, own_wall) = (own.cell_of_place[place] as usize, wall);
                 runs = self.geometry.runs(cell);
             }
-            let here: [L; D] = array(|d| L::splat(own.position[d][place]));
             let me = own.number[place];
+            if !(wall || self.own.is_empty() || self.own[me as usize]) {
+                continue;
+            }
+            let here: [L; D] = array(|d| L::splat(own.position[d][place]));
             let myself = if wall { None } else { Some(place) };
             let mut total = append::<R, L, D>(self.geometry, &runs, self.fluid, &here, myself, &mut found, 0);
             let fluid_count = total;

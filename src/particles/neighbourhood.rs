@@ -66,22 +66,37 @@ impl<R: Real> Neighbourhood<R> {
         }
         self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
+        if list.own.len() != reach.own.len() {
+            list.own = reach.own.to_vec();
+        }
         list.rebuild(&self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)
     }
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
-    /// positions and the reference only, so a replay does the same.
-    pub fn update(&mut self, reach: &Reach, position: &[R]) -> Result<(), NeighbourError> {
-        let moved = largest_move(reach, position, &self.reference)?;
+    /// positions and the reference only, so a replay does the same. `agree` maps the distance moved here to the largest one of all
+    /// ranks that have a part of the particles each; an infinite one is that of a rank that cannot go on.
+    ///
+    /// # Errors
+    /// Lost or clumped particles, a box too small; that another rank has them.
+    pub fn update(&mut self, reach: &Reach, position: &[R], agree: &dyn Fn(f64) -> f64) -> Result<(), NeighbourError> {
+        let found = largest_move(reach, position, &self.reference);
+        let moved = agree(*found.as_ref().unwrap_or(&f64::INFINITY));
+        found?;
         // One step never moves a particle that far unless the run has diverged.
         if moved > 0.5 * reach.cutoff {
             let particle = furthest(reach, position, &self.reference);
             return Err(NeighbourError::TooFast { particle, distance: moved, cutoff: reach.cutoff });
         }
-        if 2.0 * moved >= reach.skin {
-            self.rebuild(reach, position)?;
+        if 2.0 * moved < reach.skin {
+            return Ok(());
         }
-        Ok(())
+        let rebuilt = self.rebuild(reach, position);
+        let failed = agree(if rebuilt.is_ok() { 0.0 } else { f64::INFINITY });
+        rebuilt?;
+        match failed == 0.0 {
+            true => Ok(()),
+            false => Err(NeighbourError::TooFast { particle: 0, distance: failed, cutoff: reach.cutoff }),
+        }
     }
 }
 

@@ -13,6 +13,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 pub struct Reach<'a> {
     /// `[N]`.
     pub tags: &'a [u8],
+    /// Whether a fluid particle has a row of the list, `[N]`; empty where all have.
+    pub own: &'a [bool],
     pub domain: &'a Domain,
     /// Support radius of the smoothing kernel.
     pub cutoff: f64,

@@ -199,6 +199,7 @@ impl<R: Sweeps> Parts<R> {
             heat: self.heat.take(),
             wall_heat_until: None,
             section: None,
+            part: None,
             scratch: Scratch::default(),
         };
         Standard::new(flow, layout, laws)

@@ -49,6 +49,9 @@ impl Frames {
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Frames {
+    fn wants(&self, step: usize) -> bool {
+        self.steps.contains(step)
+    }
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if self.steps.contains(solver.step) {
             ParticleFields::of(solver)?.with_frame(|frame| self.series.write(frame))?;
@@ -90,6 +93,9 @@ impl<'a, R: Sweeps> History<'a, R> {
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for History<'_, R> {
+    fn wants(&self, step: usize) -> bool {
+        self.steps.contains(step)
+    }
     fn see(&mut self, dynamics: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if self.steps.contains(solver.step) {
             let row = self.scene.history_row(dynamics, solver)?;
@@ -120,6 +126,9 @@ impl<R: Sweeps> LastGood<R> {
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for LastGood<R> {
+    fn wants(&self, step: usize) -> bool {
+        step.is_multiple_of(CHECK_EVERY)
+    }
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if solver.step.is_multiple_of(CHECK_EVERY) && solver.step > self.newest.step {
             self.state = std::mem::replace(&mut self.newest, solver.snapshot());
@@ -140,6 +149,9 @@ pub struct Checkpoints<'a> {
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for Checkpoints<'_> {
+    fn wants(&self, step: usize) -> bool {
+        self.steps.contains(step) || interrupt::asked().is_some()
+    }
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         let (step, last) = (solver.step, self.steps.last);
         let is_averaged = step + self.window > last;

@@ -182,6 +182,9 @@ pub struct ShapeHeats<'a, R> {
 }
 
 impl<R: Sweeps> Observer<Sph<R>> for ShapeHeats<'_, R> {
+    fn wants(&self, step: usize) -> bool {
+        self.steps.contains(&step)
+    }
     fn see(&mut self, _: &Sph<R>, solver: &mut Solver<R>) -> anyhow::Result<()> {
         if self.steps.contains(&solver.step) {
             self.samples.extend(self.of.of_state(self.model, &solver.state).map(|heat| (solver.step, heat)));

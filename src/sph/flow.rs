@@ -1,6 +1,7 @@
 //! The flow that a method solves: particles and their tags, the box, the material and the driving forces.
 
 use super::division::Division;
+use super::part::Part;
 use super::rows::{Quantity, Rows};
 use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
@@ -12,6 +13,7 @@ use crate::sph::laws::buoyancy::Buoyancy;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
 use candle_core::{Result, Tensor};
+use std::sync::Arc;
 
 /// Heat conduction and its boundary conditions. Temperatures are stored as T - `reference`, because f32 has no digits
 /// to spare for the constant (over 20 steps of the heated channel this lowers the error of the f32 gradient from 0.56
@@ -90,6 +92,8 @@ pub struct Flow<R> {
     pub wall_heat_until: Option<f64>,
     /// x of the section through which heat flows out, if there is one.
     pub section: Option<f64>,
+    /// Where this is the part of a flow that one of several ranks computes.
+    pub part: Option<Arc<Part>>,
     /// Buffers that steps and gradients reuse, so that they do not allocate.
     pub scratch: Scratch<R>,
 }
@@ -117,6 +121,7 @@ impl<R> Flow<R> {
             heat: None,
             wall_heat_until: None,
             section: None,
+            part: None,
             scratch: Scratch::default(),
         }
     }
@@ -131,10 +136,21 @@ impl<R> Flow<R> {
     }
     /// What a neighbour search needs: tags, domain, cut-off and skin.
     pub fn reach(&self) -> Reach<'_> {
-        Reach { tags: &self.tags, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin }
+        let own = self.part.as_ref().map_or(&[][..], |part| &part.own);
+        Reach { tags: &self.tags, own, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin }
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == tag::FLUID
+    }
+    /// Whether sums over all particles count particle i here, and not on another rank.
+    pub fn is_own(&self, i: usize) -> bool {
+        self.part.as_ref().is_none_or(|part| part.own[i])
+    }
+    /// Sums over own particles, added up over the ranks.
+    pub fn over_ranks<const K: usize>(&self, sums: [f64; K]) -> [f64; K] {
+        let Some(part) = &self.part else { return sums };
+        let all = part.ranks.sum(&sums);
+        std::array::from_fn(|k| all[k])
     }
     pub fn has_walls(&self) -> bool {
         self.tags.iter().any(|&t| t != tag::FLUID)
@@ -164,6 +180,42 @@ impl<R> Flow<R> {
 }
 
 impl<R: Real> Flow<R> {
+    /// The flow of some of the particles, in this order.
+    pub fn of(&self, some: &[u32], part: Arc<Part>) -> Self {
+        let heat = self.heat.as_ref().map(|heat| Heat {
+            wall_constant: picked(&heat.wall_constant, some),
+            wall_factor: picked(&heat.wall_factor, some),
+            materials: heat.materials.as_ref().map(|of| Materials {
+                conductivity: picked(&of.conductivity, some),
+                capacity: picked(&of.capacity, some),
+            }),
+            ..*heat
+        });
+        let tags = picked(&self.tags, some);
+        Self { tags, heat, part: Some(part), scratch: Scratch::default(), ..self.clone() }
+    }
+
+    /// Replaces a field's `[rows, N]` values of copies by those of the ranks that own them.
+    pub fn refresh(&self, field: &mut [R]) {
+        if let Some(part) = &self.part {
+            part.refresh(field);
+        }
+    }
+
+    /// The same for numbers `from .. from + count` of records `[N, width]`.
+    pub fn refresh_records(&self, records: &mut [R], width: usize, from: usize, count: usize) {
+        if let Some(part) = &self.part {
+            part.exchange(records, count, |k, i| i * width + from + k);
+        }
+    }
+
+    /// [`Self::refresh`] of a field that is computed at walls only.
+    pub fn refresh_walls(&self, field: &mut [R]) {
+        if let Some(part) = self.part.as_ref().filter(|part| part.has_walls) {
+            part.refresh(field);
+        }
+    }
+
     /// Number of parts that the step from a state `[F, N]` is divided into; 1 where steps are never divided.
     pub fn parts(&self, state: &[R]) -> usize {
         let Some(division) = &self.division else { return 1 };
@@ -179,6 +231,11 @@ impl<R: Real> Flow<R> {
         let square = |i: usize| (0..self.dimension()).map(|d| state[(row + d) * n + i].f64().powi(2)).sum::<f64>();
         fluid.map(square).fold(0.0, f64::max).sqrt()
     }
+}
+
+/// The numbers of some particles.
+pub fn picked<T: Copy>(all: &[T], some: &[u32]) -> Vec<T> {
+    some.iter().filter_map(|&i| all.get(i as usize).copied()).collect()
 }
 
 /// Buffers that return here when they are no longer used.

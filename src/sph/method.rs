@@ -6,6 +6,7 @@
 use super::flow::Flow;
 use super::inventory::{dropped, Dropped, Field, Operator};
 use super::pace::TimeSteps;
+use super::part::Part;
 use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
 use crate::config::stability::CflLimit;
@@ -95,6 +96,16 @@ pub trait Method<R>: Any + Debug + Send + Sync {
         None
     }
 
+    /// The same method for some of the particles, in this order, which one of several ranks computes; none for a method that only one
+    /// can solve.
+    fn of(&self, _some: &[u32], _part: Arc<Part>) -> Option<Model<R>> {
+        None
+    }
+    /// How the particles can be shared out among ranks; none for a method that only one can solve.
+    fn sharing(&self) -> Option<Sharing> {
+        None
+    }
+
     /// Whether a state holds the velocity and temperature of wall particles. Otherwise [`Worker::look`] computes them.
     fn has_wall_values(&self) -> bool {
         true
@@ -151,6 +162,15 @@ impl<R: 'static> Deref for dyn Method<R> {
     }
 }
 
+/// How the particles of a flow can be shared out among ranks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sharing {
+    /// Copies that a rank needs: of everything nearer than so many times the reach of the neighbour list.
+    pub reaches: usize,
+    /// The one direction across which the box may be cut; none where it may be any.
+    pub only: Option<usize>,
+}
+
 /// The context of a step: the neighbour list, the time steps and the device.
 pub struct Place<'a, R> {
     pub neighbourhood: &'a mut Neighbourhood<R>,
@@ -170,7 +190,9 @@ impl<R: Real> Place<'_, R> {
     /// Particles that are lost or too fast.
     pub fn update(&mut self, flow: &Flow<R>, position: &[R]) -> Result<(), RunError> {
         let step = self.step;
-        let updated = self.neighbourhood.update(&flow.reach(), position);
+        // All ranks make their lists anew in the same step, or stop there.
+        let agree = |own: f64| flow.part.as_ref().map_or(own, |part| part.ranks.most(own));
+        let updated = self.neighbourhood.update(&flow.reach(), position, &agree);
         updated.map_err(|source| RunError::Neighbours { step, source })
     }
 

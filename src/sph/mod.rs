@@ -20,11 +20,13 @@ pub mod method;
 pub mod own;
 pub mod pace;
 pub mod pairs;
+pub mod part;
 pub mod plan;
 mod precisions;
 pub mod relief;
 pub mod rows;
 pub mod solver;
+pub mod spread;
 pub mod standard;
 pub mod sweeps;
 

@@ -57,6 +57,10 @@ pub struct Solver<R> {
     pub neighbourhood: Neighbourhood<R>,
     /// The fields of the last [`Self::look`].
     pub looked: Looked<R>,
+    /// The acceleration that held the flow rate or the power in the last step, where other ranks have made it.
+    pub drove: Option<f64>,
+    /// Whether the list is not that of its reference.
+    list_is_old: bool,
     worker: Box<dyn Worker<R>>,
     /// Device of composed steps.
     device: Device,
@@ -88,6 +92,8 @@ impl<R: Sweeps> Solver<R> {
             divided: Divided::default(),
             neighbourhood,
             looked: Looked::default(),
+            drove: None,
+            list_is_old: false,
             device: Device::Cpu,
         })
     }
@@ -124,16 +130,48 @@ impl<R: Sweeps> Solver<R> {
     }
 
     fn advance_by(&mut self, make_part: fn(&mut Self) -> Result<(), RunError>) -> Result<(), RunError> {
+        self.build_list()?;
         let parts = self.model.parts(&self.state).max(self.least_parts);
         for part in 0..parts {
-            self.pace = self.pace.next(part, parts);
-            make_part(self)?;
-            if part == 0 {
-                self.began_with = (self.pace.parts > 1).then(|| self.neighbourhood.reference.clone());
-                self.divided.count(self.pace.parts);
-            }
+            self.go_to_part(part, parts, make_part)?;
         }
         self.step += 1;
+        Ok(())
+    }
+
+    /// Makes part number `part` of a step of `parts` parts.
+    pub(super) fn make_part(&mut self, part: usize, parts: usize) -> Result<(), RunError> {
+        self.go_to_part(part, parts, Self::advance_part)
+    }
+
+    fn go_to_part(
+        &mut self,
+        part: usize,
+        parts: usize,
+        make_part: fn(&mut Self) -> Result<(), RunError>,
+    ) -> Result<(), RunError> {
+        self.pace = self.pace.next(part, parts);
+        make_part(self)?;
+        if part == 0 {
+            self.began_with = (self.pace.parts > 1).then(|| self.neighbourhood.reference.clone());
+            self.divided.count(self.pace.parts);
+        }
+        Ok(())
+    }
+
+    /// Takes other positions for the neighbour list. It is built when somebody needs it.
+    pub(super) fn forget_list(&mut self, reference: Arc<Vec<R>>) {
+        self.neighbourhood.reference = reference;
+        self.list_is_old = true;
+    }
+
+    /// Builds the neighbour list of [`Self::forget_list`].
+    fn build_list(&mut self) -> Result<(), RunError> {
+        if std::mem::take(&mut self.list_is_old) {
+            let (step, reference) = (self.step, self.neighbourhood.reference.clone());
+            let built = self.neighbourhood.rebuild_at(&self.model.reach(), &reference);
+            built.map_err(|source| RunError::Neighbours { step, source })?;
+        }
         Ok(())
     }
 
@@ -173,6 +211,7 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// Tensor errors, of a method that is composed of candle's operators.
     pub fn look(&mut self) -> Result<(), RunError> {
+        self.build_list()?;
         let Self { model, state, step, pace, neighbourhood, worker, device, looked, .. } = self;
         let times = pace.times(model.dt, *step);
         worker.look(&mut Place { neighbourhood, times, step: *step, parts: pace.parts, device }, state, looked)
@@ -204,7 +243,8 @@ impl<R: Sweeps> Solver<R> {
 
     /// The acceleration along x in the last step: the body force, or what held the flow rate or the power.
     pub fn driving_force(&self) -> f64 {
-        self.worker.drive().unwrap_or_else(|| self.model.body_force.strength())
+        let found = self.worker.drive().or(self.drove);
+        found.unwrap_or_else(|| self.model.body_force.strength())
     }
 
     /// Copies those results of the last step that its adjoint would recompute, see

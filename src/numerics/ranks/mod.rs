@@ -19,6 +19,7 @@ pub use how::How;
 
 use super::threads;
 use crate::error::BadInput;
+use std::fmt;
 use std::sync::Arc;
 
 /// The processes, seen from one of them. When the last clone is dropped, it waits until all others are done too.
@@ -32,6 +33,12 @@ const SIZES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TA
 pub fn started(variable: impl Fn(&str) -> Option<String>) -> usize {
     let sizes = SIZES.iter().filter_map(|name| variable(name)?.parse().ok());
     sizes.max().unwrap_or(1)
+}
+
+impl fmt::Debug for Ranks {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "rank {} of {}", self.rank(), self.size())
+    }
 }
 
 impl Ranks {
@@ -81,6 +88,43 @@ impl Ranks {
     /// begin the same exchanges in the same order.
     pub fn begin(&self, numbers: Vec<f64>, how: How) -> Option<Exchange> {
         self.0.as_ref().map(|world| world.begin_exchange(numbers, how))
+    }
+
+    /// The sum of each number over the ranks, added in their order: the same bits on all of them, and every time.
+    pub fn sum(&self, own: &[f64]) -> Vec<f64> {
+        let all = self.all(own);
+        (0..own.len()).map(|k| all.iter().skip(k).step_by(own.len()).sum()).collect()
+    }
+
+    /// The largest of the numbers of all ranks.
+    pub fn most(&self, own: f64) -> f64 {
+        self.all(&[own]).into_iter().fold(own, f64::max)
+    }
+
+    /// Sends numbers to other ranks and waits for theirs, where both sides know how many: `to` and `from` name ranks, each at most once.
+    /// The numbers come in the order of `from`.
+    pub fn swap(&self, to: &[(usize, Vec<f64>)], from: &[(usize, usize)]) -> Vec<Vec<f64>> {
+        self.0.as_ref().map_or(vec![], |world| world.swap(to, from))
+    }
+
+    /// Sends numbers to every rank, and returns those that each of them sent; those for this one stay. All ranks must ask for it.
+    pub fn deal(&self, mut to: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+        let Some(world) = &self.0 else { return to };
+        let counts: Vec<f64> = to.iter().map(|numbers| numbers.len() as f64).collect();
+        let own = world.rank();
+        let others = |counts: &[f64]| -> Vec<(usize, usize)> {
+            let counts = counts.iter().enumerate().map(|(rank, &count)| (rank, count as usize));
+            counts.filter(|&(rank, count)| rank != own && count > 0).collect()
+        };
+        let from = others(&world.counts(&counts));
+        let kept = std::mem::take(&mut to[own]);
+        let to: Vec<_> = others(&counts).into_iter().map(|(rank, _)| (rank, std::mem::take(&mut to[rank]))).collect();
+        let mut dealt = vec![Vec::new(); world.size()];
+        for (&(rank, _), numbers) in from.iter().zip(world.swap(&to, &from)) {
+            dealt[rank] = numbers;
+        }
+        dealt[own] = kept;
+        dealt
     }
 
     /// Ends all ranks at once, with this exit code; returns only where there is one.

@@ -56,6 +56,37 @@ impl World {
         all
     }
 
+    /// One number for every rank: returns the number that each of them had for this one.
+    pub fn counts(&self, own: &[f64]) -> Vec<f64> {
+        let mut found = vec![0.0; own.len()];
+        self.communicator.all_to_all_into(own, &mut found[..]);
+        found
+    }
+
+    pub fn swap(&self, to: &[(usize, Vec<f64>)], from: &[(usize, usize)]) -> Vec<Vec<f64>> {
+        let mut found: Vec<Vec<f64>> = from.iter().map(|&(_, count)| vec![0.0; count]).collect();
+        let (kind, world) = (f64::equivalent_datatype().as_raw(), self.communicator.as_raw());
+        let number = |count: usize| i32::try_from(count).expect("a message of fewer than 2^31 numbers");
+        let mut requests = Vec::with_capacity(from.len() + to.len());
+        // SAFETY (all): the buffers live, are not touched and do not move until all requests are done, and are as long as MPI is
+        // told; MPI sets each request, or ends the program.
+        for (numbers, &(rank, count)) in found.iter_mut().zip(from) {
+            let (mut request, to) = (MaybeUninit::uninit(), numbers.as_mut_ptr().cast());
+            unsafe { ffi::MPI_Irecv(to, number(count), kind, number(rank), 0, world, request.as_mut_ptr()) };
+            requests.push(unsafe { request.assume_init() });
+        }
+        for (rank, numbers) in to {
+            let (mut request, from) = (MaybeUninit::uninit(), numbers.as_ptr().cast());
+            unsafe { ffi::MPI_Isend(from, number(numbers.len()), kind, number(*rank), 0, world, request.as_mut_ptr()) };
+            requests.push(unsafe { request.assume_init() });
+        }
+        for request in &mut requests {
+            let mut status = MaybeUninit::uninit();
+            unsafe { ffi::MPI_Wait(request, status.as_mut_ptr()) };
+        }
+        found
+    }
+
     pub fn begin_exchange(&self, numbers: Vec<f64>, how: How) -> Exchange {
         let count = i32::try_from(numbers.len()).expect("a network of fewer than 2^31 numbers");
         let mut found = vec![0.0_f64; numbers.len() * if how == How::Gather { self.size() } else { 1 }];

@@ -13,6 +13,21 @@ impl Shift {
     pub fn is_isotropic(&self) -> bool {
         matches!(self, Self::Isotropic(_))
     }
+
+    /// That of some particles; `known` is the new number of each. The first and the last of a row's part have no right neighbours.
+    pub fn of(&self, particles: usize, known: &dyn Fn(&u32) -> Option<u32>) -> Self {
+        match self {
+            Self::None => Self::None,
+            Self::Chain(chain) => {
+                let rows = chain.rows.iter().map(|row| row.iter().filter_map(known).collect()).collect();
+                Self::Chain(Chain::new(chain.strength, chain.is_still, rows, particles))
+            }
+            Self::Isotropic(isotropic) => {
+                let normals = isotropic.normals.iter().filter_map(|(i, normal)| Some((known(i)?, *normal)));
+                Self::Isotropic(Isotropic { normals: normals.collect(), ..*isotropic })
+            }
+        }
+    }
 }
 
 /// Rows of particles between the walls. The first row is the surface of the lower wall, the last that of the upper one.

@@ -223,6 +223,8 @@ pub fn forward<R: Real>(
     let buffers = &model.scratch.buffers;
     let mut records = buffers.buffer(stride(record_fields(d)) * n);
     pack(geometry, known, derivatives, None, &mut records);
+    // V and grad p.
+    model.refresh_records(&mut records, stride(record_fields(d)), d + 1, d + 1);
     let mut sums = buffers.buffer(fluid.blocks() * width::<R>());
     with_dimension!(d, |D| run_rows(
         &Pass::<R, D, { stride(record_fields(D)) / 4 }> {
@@ -251,8 +253,10 @@ pub fn forward<R: Real>(
         mean += p.f64();
         pressure[i] = p;
     }
-    let mean = R::of(mean / fluid.places.max(1) as f64);
+    let [mean, count] = model.over_ranks([mean, fluid.places as f64]);
+    let mean = R::of(mean / count.max(1.0));
     fluid.each().for_each(|(_, i)| pressure[i] -= mean);
+    model.refresh(pressure);
 }
 
 /// The adjoint: adds to the cotangents of `known` and of the derivatives.

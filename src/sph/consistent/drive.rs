@@ -19,11 +19,12 @@ fn found<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], u: &[R]) -> Kick {
     let model = geometry.model;
     let Some(drive) = model.drive else { return Kick::default() };
     let (mut momentum, mut mass) = (0.0, 0.0);
-    for i in fluid(model) {
+    for i in fluid(model).filter(|&i| model.is_own(i)) {
         let m = masses[i].f64();
         mass += m;
         momentum += m * u[i].f64();
     }
+    let [momentum, mass] = model.over_ranks([momentum, mass]);
     drive.kick(geometry.times.now, momentum, mass)
 }
 

@@ -13,8 +13,9 @@ use crate::config::stability::{self, CflLimit};
 use crate::particles::NeighbourList;
 use crate::sph::flow::Flow;
 use crate::sph::inventory::Operator;
-use crate::sph::method::{Memory, Method, Model, Parts, Recorder, Worker};
+use crate::sph::method::{Memory, Method, Model, Parts, Recorder, Sharing, Worker};
 use crate::sph::pairs::stride;
+use crate::sph::part::Part;
 use std::sync::Arc;
 
 impl<R: Sweeps> Method<R> for Consistent<R> {
@@ -32,6 +33,15 @@ impl<R: Sweeps> Method<R> for Consistent<R> {
     }
     fn recorder(self: Arc<Self>, kernels: Kernels) -> Box<dyn Recorder<R>> {
         Box::new(Tape::new(self, kernels))
+    }
+    fn of(&self, some: &[u32], part: Arc<Part>) -> Option<Model<R>> {
+        Some(Model::new(Self::new(self.flow.of(some, part), self.layout, self.fits.of(some))))
+    }
+    fn sharing(&self) -> Option<Sharing> {
+        // Dummy particles have the values of fluid around the point of the surface that they belong to. Rows of a chain run along x: each
+        // rank has a part of every one.
+        let only = matches!(self.fits.shift, Shift::Chain(_)).then_some(0);
+        Some(Sharing { reaches: if self.has_walls() { 2 } else { 1 }, only })
     }
     fn has_wall_values(&self) -> bool {
         false

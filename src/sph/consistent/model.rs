@@ -6,7 +6,8 @@ use super::kinds::TEMPERATURE;
 use super::layout::Layout;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Pool;
-use crate::sph::flow::Flow;
+use crate::sph::flow::{picked, Flow};
+use std::collections::HashMap;
 use std::ops::Deref;
 
 /// The settings of a scene besides the flow.
@@ -35,6 +36,26 @@ pub struct Fits<R> {
     /// Weight of a fluid particle in sums over a section, `[N]`: 11/12 beside a wall, where the midpoint rule
     /// overestimates fields that are zero on the wall, else 1.
     pub quadrature: Vec<R>,
+}
+
+impl<R: Real> Fits<R> {
+    /// Those of some particles, which are counted anew in this order. Dummy particles whose point of the surface is missing have no value.
+    pub fn of(&self, some: &[u32]) -> Self {
+        let new: HashMap<u32, u32> = some.iter().zip(0..).map(|(&i, k)| (i, k)).collect();
+        let known = |i: &u32| new.get(i).copied();
+        let points = || self.surface.iter().zip(0..).filter_map(|(i, place)| Some((known(i)?, place)));
+        // New place of each point by its old one.
+        let places: HashMap<u32, u32> = points().zip(0..).map(|((_, old), new)| (old, new)).collect();
+        let dummy = |(dummy, at): &(u32, u32)| Some((known(dummy)?, *places.get(at)?));
+        Self {
+            shift: self.shift.of(some.len(), &known),
+            weights: some.iter().flat_map(|&i| &self.weights[4 * i as usize..][..4]).copied().collect(),
+            surface: points().map(|(i, _)| i).collect(),
+            dummies: self.dummies.iter().filter_map(dummy).collect(),
+            quadrature: picked(&self.quadrature, some),
+            ..*self
+        }
+    }
 }
 
 /// Second-order operators by moving least squares and an evolved pressure, on moving particles; see [`super`].

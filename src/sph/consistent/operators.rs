@@ -350,6 +350,8 @@ impl<R: Sweeps> Buffers<R> {
         self.known.clear();
         self.known.extend_from_slice(state);
         known(geometry, &mut self.kept, &mut self.known);
+        let (n, l) = (geometry.model.particles(), geometry.model.layout);
+        geometry.model.refresh_walls(&mut self.known[l.pressure() * n..l.last_rates() * n]);
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
     }
 
@@ -359,6 +361,7 @@ impl<R: Sweeps> Buffers<R> {
         self.pressure.resize(geometry.model.particles(), R::default());
         R::continuity(geometry, &self.known, &self.derivatives, &self.kept, &mut self.pressure);
         R::fill(geometry, &self.known, &mut self.pressure, &mut self.kept, false);
+        geometry.model.refresh_walls(&mut self.pressure);
         R::pressure_gradient(geometry, &mut self.kept, &self.known, &self.pressure, &mut self.gradient);
         R::advance(geometry, &self.known, &self.derivatives, &self.gradient, state);
         geometry.model.drive?;

@@ -1,6 +1,6 @@
 //! Implements the interface [`crate::sph::method::Method`] for the standard method.
 
-use super::model::Standard;
+use super::model::{Laws, Standard};
 use super::plan;
 use super::records::record_fields;
 use super::sweeps::Sweeps;
@@ -9,10 +9,11 @@ use super::worker::Buffers;
 use crate::config::scene::Kernels;
 use crate::config::stability::{self, CflLimit};
 use crate::particles::NeighbourList;
-use crate::sph::flow::Flow;
+use crate::sph::flow::{picked, Flow};
 use crate::sph::inventory::{Dropped, Field, Operator};
-use crate::sph::method::{Memory, Method, Model, Parts, Recorder, Worker};
+use crate::sph::method::{Memory, Method, Model, Parts, Recorder, Sharing, Worker};
 use crate::sph::pairs::stride;
+use crate::sph::part::Part;
 use std::sync::Arc;
 
 impl<R: Sweeps> Method<R> for Standard<R> {
@@ -33,6 +34,18 @@ impl<R: Sweeps> Method<R> for Standard<R> {
     }
     fn is_fused(&self) -> bool {
         Standard::is_fused(self)
+    }
+    fn of(&self, some: &[u32], part: Arc<Part>) -> Option<Model<R>> {
+        let n = self.particles();
+        let normals =
+            self.laws.normals.as_ref().map(|all| all.chunks_exact(n).flat_map(|row| picked(row, some)).collect());
+        let laws = Laws { normals, ..self.laws.clone() };
+        Some(Model::new(Self::new(self.flow.of(some, part), self.layout, laws)))
+    }
+    fn sharing(&self) -> Option<Sharing> {
+        // Walls average the fluid around them.
+        let reaches = if self.has_walls() { 2 } else { 1 };
+        Standard::is_fused(self).then_some(Sharing { reaches, only: None })
     }
     fn has_velocity(&self, _: usize) -> bool {
         true

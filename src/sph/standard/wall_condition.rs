@@ -250,6 +250,7 @@ fn store_rows<R: Real, const D: usize>(
 /// Packs the fluid's records.
 struct FluidRecords<'a, R> {
     step: &'a Step<R>,
+    particles: &'a [u32],
     moved: &'a [R],
     density: &'a [R],
     mass: Masses<'a, R>,
@@ -262,7 +263,7 @@ impl<R: Real> RowKernel<R> for FluidRecords<'_, R> {
         let l = self.step.model.layout;
         let width = stride(record_fields(l.dimension, l.transport, l.heat));
         for row in rows {
-            let i = self.step.list.fluid_rows[row] as usize;
+            let i = self.particles[row] as usize;
             // SAFETY: each row writes its own record.
             let record = unsafe { self.records.slice(i * width..(i + 1) * width) };
             pack_fluid(self.step, self.moved, self.mass.of(i), self.density[i], i, record);
@@ -365,8 +366,10 @@ pub fn forward<R: Real>(
     let mass = Masses::new(model, moved);
     let mut records = std::mem::take(&mut kept.records);
     records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * n, R::default());
-    if !kept.has_fluid_records {
-        run_rows(&FluidRecords { step, moved, density, mass, records: Own::new(&mut records) }, list.fluid_rows.len());
+    let own: &[u32] = if kept.has_fluid_records { &[] } else { &list.fluid_rows };
+    for particles in [own, &list.fluid_copies] {
+        let records = Own::new(&mut records);
+        run_rows(&FluidRecords { step, particles, moved, density, mass, records }, particles.len());
     }
     if list.fluid_rows.len() < n && !kept.has_pairs {
         pack_positions(model, moved, None, &mut kept.position);
