@@ -374,3 +374,16 @@ fn a_flow_that_diverges_is_told_once() {
     });
     assert_eq!(alone, both);
 }
+
+/// Commands that ranks do not share are refused once, before anything is written.
+#[test]
+fn other_commands_are_for_one_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = hydrograd(2);
+    command.current_dir(folder.path()).args(["generate", "heated-channel", "--out", "unwritten"]);
+    let output = output(&mut command);
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert_eq!(error.matches("2 processes, each of which would do all of this command").count(), 1, "{error}");
+    assert!(!folder.path().join("unwritten").exists());
+}

@@ -217,12 +217,12 @@ fn the_command_line_relaxes_and_sees_the_force() {
     let model = ["--model", "train/last.safetensors", "--data", "data", "--threads", "1"];
     let evaluate = [&["evaluate", "--steps", "5", "--relax", "2", "--out", "relaxed"][..], &model].concat();
     let said = succeeds(inside, &evaluate);
-    assert!(said.contains("gns, relaxed"), "{said}");
+    assert!(said.contains("last, relaxed"), "{said}");
     let file: serde_json::Value =
         serde_json::from_slice(&std::fs::read(inside.join("relaxed/evaluation.json")).unwrap()).unwrap();
     let scores = file["scores"].as_array().unwrap();
     let names: Vec<&str> = scores.iter().map(|score| score["model"].as_str().unwrap()).collect();
-    assert_eq!(names, ["gns, relaxed", "linear", "still", "gns"]);
+    assert_eq!(names, ["last, relaxed", "linear", "no change", "last"]);
     assert_ne!(scores[0]["mse"], scores[3]["mse"]);
     succeeds(inside, &[&["rollout", "--steps", "3", "--relax", "1", "--out", "rollout"][..], &model].concat());
     let refused = [&["evaluate", "--relax-strength", "0.1", "--out", "unwritten"][..], &model].concat();

@@ -176,6 +176,9 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         machine::begin()?;
     }
     env_logger::Builder::from_default_env().init();
+    if !matches!(cli.command, Command::Simulate(_) | Command::Train(_)) {
+        ranks::together(ranks::alone)?;
+    }
     match cli.command {
         Command::Simulate(arguments) => {
             ranks::together(|ranks| on(arguments.load()?, |scene| simulate::run(scene, arguments, ranks)))

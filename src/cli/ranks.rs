@@ -2,6 +2,7 @@
 
 use super::guard::{stopped_by, tell_error};
 use super::machine;
+use crate::error::BadInput;
 use crate::numerics::ranks::Ranks;
 use std::time::Duration;
 
@@ -30,5 +31,20 @@ pub fn together(command: impl FnOnce(&Ranks) -> anyhow::Result<()>) -> anyhow::R
         }
         Err(_) if rank > 0 => Ok(()),
         result => result,
+    }
+}
+
+/// Checks that a command which ranks do not share was started once.
+///
+/// # Errors
+/// [`BadInput`]: there are several processes, each of which would do all of it.
+pub fn alone(ranks: &Ranks) -> anyhow::Result<()> {
+    match ranks.size() {
+        1 => Ok(()),
+        several => Err(BadInput::new(format!("{several} processes, each of which would do all of this command"))
+            .place("mpirun")
+            .allowed("simulate and train, which share their work over ranks")
+            .advice("start it without mpirun; several machines make one data set with generate --shard")
+            .into()),
     }
 }

@@ -115,7 +115,7 @@ section! {
         weight: f64 = 0.0, NotNegative;
         gradient: f64 = 10.0, NotNegative;
         steps: usize = 20, Within(1.0, 200.0);
-        first: usize = 0;
+        first: usize = 0, Within(0.0, 1e6);
         every: u64 = 1, AtLeast(1.0);
     }
 }

@@ -68,7 +68,7 @@ impl<'a> Pairs<'a> {
         let bad = |problem: String| {
             BadInput::new(problem)
                 .key("objective.weight")
-                .allowed("a data set of pairs: hydrograd generate heated-channel --pairs 0.004")
+                .allowed("a data set of pairs of walls, as generate makes it with pairs=0.004")
                 .advice("objective.weight=0")
         };
         let (Some(mut config), Some(origin)) = (setup.data_config(), metadata.origin()) else {
