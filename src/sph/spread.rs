@@ -3,7 +3,7 @@
 //! A step on a rank is that of [`Solver`] on its part of the particles ([`super::part`]). Copies get their owners' state before every
 //! step, and what operators found for them within it before another operator reads that. Blocks ([`Decomposition`]) are those of the
 //! positions from which the neighbour list was built. All ranks build it anew in the same step, as soon as anywhere a particle has moved
-//! half the skin, and then particles that have left a block are handed over. Where a rank has come to have [`UNEVEN`] times as many
+//! half the skin, and then particles that have left a block are handed over. Where a rank has come to have `UNEVEN` times as many
 //! particles as the mean, the box is cut anew.
 //!
 //! On every rank particles are in the order of the whole flow, so sums over neighbours run in the same order as on one rank, but for
