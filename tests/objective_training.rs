@@ -12,7 +12,6 @@ use hydrograd::dataset::{read_split, Metadata, Split};
 use hydrograd::surrogate::load_learned;
 use hydrograd::surrogate::training::objective::Pairs;
 use std::path::Path;
-use std::sync::Arc;
 
 const SCENE: [&str; 3] = ["resolution.dx=0.025", "time.jitter=0.02", "channel.height=0.2"];
 
@@ -107,8 +106,9 @@ fn the_gradient_by_the_parameters_is_that_of_differences() {
     let data = folder().join("data");
     let metadata = Metadata::read(&data).unwrap();
     let train = read_split(&data, &metadata, Split::Train).unwrap();
-    let setup = load_learned(&folder().join("train/last.safetensors"), Kernels::Fused, DType::F64).unwrap().setup;
-    let network = Arc::from(setup.network(Kernels::Fused, 3, DType::F64).unwrap());
+    // Not a new network: its biases are 0, so the edge of a particle to itself, whose features are 0, is at a rectifier's kink.
+    let model = load_learned(&folder().join("train/last.safetensors"), Kernels::Fused, DType::F64).unwrap();
+    let (setup, network) = (model.setup, model.network);
     let settings = ObjectiveLoss { weight: 0.5, steps: 4, ..ObjectiveLoss::default() };
     let mut pairs = Pairs::new(&settings, 1, &setup, &network, &metadata, &train).unwrap();
     let (_, gradient) = pairs.gradient(7, &*network).unwrap();
