@@ -3,7 +3,7 @@
 use super::arguments::at_least_one;
 use super::files::{write_json, VERSION};
 use super::machine;
-use super::model_data::{ModelData, ModelDataArguments, RelaxArguments};
+use super::model_data::{ModelData, ModelDataArguments};
 use super::page;
 use super::run_folder::{Earlier, RunFolder};
 use crate::report::plots::compare;
@@ -71,8 +71,7 @@ pub fn run(arguments: EvaluateArguments) -> anyhow::Result<()> {
     let first = models[0].name();
     models.extend(baselines.into_iter().filter(|baseline| baseline.name() != first));
     if source.relax.relax.is_some() {
-        let plain = RelaxArguments { relax: None, ..source.relax.clone() };
-        models.push(ModelDataArguments { relax: plain, ..source.clone() }.read()?.model);
+        models.push(source.alone(&metadata)?);
     }
     let bar = Progress::new((models.len() * windows.len()) as u64, "evaluate");
     let mut scores = Vec::new();

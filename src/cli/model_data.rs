@@ -45,10 +45,10 @@ pub struct RelaxArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
     pub relax: Option<u32>,
     /// Their length.
-    #[arg(long, value_name = "NUMBER", default_value_t = 0.03, value_parser = positive, requires = "relax")]
+    #[arg(long, value_name = "NUMBER", default_value_t = Relaxation::default().strength, value_parser = positive, requires = "relax")]
     pub relax_strength: f64,
     /// Their viscosity.
-    #[arg(long, value_name = "NUMBER", default_value_t = 0.0, value_parser = not_negative, requires = "relax")]
+    #[arg(long, value_name = "NUMBER", default_value_t = Relaxation::default().viscosity, value_parser = not_negative, requires = "relax")]
     pub relax_viscosity: f64,
 }
 
@@ -103,6 +103,11 @@ impl ModelDataArguments {
             );
         }
         Ok(ModelData { model, metadata, trajectories })
+    }
+
+    /// The model once more, without relaxation.
+    pub fn alone(&self, metadata: &Metadata) -> anyhow::Result<Box<dyn Predictor>> {
+        load_predictor(&self.model, metadata, compute(self.kernels, self.device)?)
     }
 }
 
