@@ -73,11 +73,33 @@ fn walls_come_in_pairs() {
     let odd = ["generate", "heated-channel", "--pairs", "0.004", "--trajectories", "3/2/2", "--out", "unwritten"];
     refuses(&odd, &["3/2/2 with pairs", "even numbers"]);
     let given = ["generate", "heated-channel", "--pairs", "0.004", "--walls", "scene", "--out", "unwritten"];
-    refuses(&given, &["pairs of walls that are given"]);
+    refuses(&given, &["pairs of the scene's own wall"]);
     refuses(
         &["generate", "taylor-green", "--objective", "--out", "unwritten"],
         &["no walls to shape", "heated-channel"],
     );
+}
+
+/// A wall of a table and its neighbour make a pair, which keeps to the bound where the wall of the table reaches it.
+#[test]
+fn pairs_over_a_table_of_walls() {
+    let nodes = read_split(&folder().join("data"), &Metadata::read(&folder().join("data")).unwrap(), Split::Test)
+        .unwrap()[0]
+        .wall_offset
+        .len();
+    let bound = 0.02;
+    let line = |height: f64| vec![height.to_string(); nodes].join(",");
+    std::fs::write(folder().join("walls.csv"), [line(bound), line(-0.003), line(0.001)].join("\n")).unwrap();
+    let from = ["--walls-file", "walls.csv", "--out", "given", "--set", "design.bound=0.02"];
+    succeeds(folder(), &[generate(&["--pairs", "0.004"]), from.to_vec()].concat());
+    let data = folder().join("given");
+    let all = read_split(&data, &Metadata::read(&data).unwrap(), Split::Train).unwrap();
+    for (pair, height) in all.chunks(2).zip([bound, -0.003]) {
+        assert!(pair[0].wall_offset.iter().all(|offset| *offset == height));
+        let change: Vec<f64> = pair[1].wall_offset.iter().map(|offset| offset - height).collect();
+        assert!(change.iter().any(|change| change.abs() > 1e-4), "{change:?}");
+        assert!(change.iter().all(|change| change.abs() <= 0.004 + 1e-12 && height + change <= bound), "{change:?}");
+    }
 }
 
 /// What a data set says of a wall is what fixed particles say, and its derivative is that by differences.

@@ -232,7 +232,7 @@ fn difference(a: &[f64], b: &[f64], n: usize) -> f64 {
 
 /// Scenes of every kind: periodic, walled, with a free surface; in two and three dimensions; both methods that move particles; heat, a drive,
 /// gravity, a transport velocity.
-const SCENES: [&str; 11] = [
+const SCENES: [&str; 16] = [
     "taylor-green --set time.cfl=0.25 --set time.steps=200",
     "taylor-green --method standard --set time.steps=200",
     "heated-channel --set time.steps=200 --set objective.window=0.05",
@@ -241,6 +241,11 @@ const SCENES: [&str; 11] = [
     "lid-driven-cavity --dx 0.05 --set time.steps=200",
     "lid-driven-cavity --method standard --dx 0.05 --set time.cfl=0.25 --set time.steps=200",
     "dam-break --set tank.length=5.4 --dx 0.1 --set time.cfl=0.15 --set time.steps=200",
+    "dam-break --set tank.length=5.4 --dx 0.1 --set time.cfl=0.15 --set time.steps=200 --set method.flux=delta",
+    "dam-break --set tank.length=5.4 --dx 0.1 --set time.cfl=0.15 --set time.steps=200 --set method.flux=riemann",
+    "dam-break --set tank.length=5.4 --dx 0.1 --set time.cfl=0.15 --set time.steps=200 --set method.density_renormalisation=true",
+    "dam-break --set tank.length=5.4 --dx 0.1 --set time.cfl=0.15 --set time.steps=200 --set wall.slip=free-slip",
+    "taylor-green --method standard --set time.steps=200 --set method.density_equation=evolution --set method.flux=delta",
     "heated-cavity --method consistent --dx 0.05 --set time.steps=200",
     "taylor-green-3d --set time.cfl=0.25 --set time.steps=200",
     "lid-driven-cavity-3d --dx 0.125 --set time.cfl=0.5 --set time.steps=200",
@@ -332,6 +337,163 @@ fn a_flow_that_ended_early_goes_on() {
     }
 }
 
+/// The report of `hydrograd check-gradient` by so many ranks.
+fn checked(ranks: usize, scene: &str, out: &Path) -> serde_json::Value {
+    let mut command = hydrograd(ranks);
+    command
+        .args(["check-gradient", "--directions", "1"])
+        .args(scene.split(' '))
+        .args(["--threads", "1", "--out"])
+        .arg(out);
+    let output = output(&mut command);
+    assert!(output.status.success(), "{scene}: {}", String::from_utf8_lossy(&output.stderr));
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(said.matches("PASSED").count(), 1, "one rank speaks: {said}");
+    serde_json::from_str(&std::fs::read_to_string(out.join("gradient_check.json")).unwrap()).unwrap()
+}
+
+/// Runs long enough that particles are handed over. Every kind of shift, both methods, a drive, both precisions, segments and
+/// recomputed states, two and three dimensions.
+const GRADIENTS: [&str; 9] = [
+    "heated-channel --steps 80",
+    "heated-channel --steps 80 --memory 5MB",
+    "heated-channel --steps 80 --set optimise.segment=8",
+    "heated-channel --steps 80 --set method.shift=isotropic",
+    "heated-channel --steps 80 --set fluid.drive=flow-rate",
+    "heated-channel --steps 80 --method standard",
+    "heated-channel --steps 80 --method standard --set method.transport_velocity=1",
+    "heated-channel --steps 40 --precision f32",
+    "heated-channel-3d --steps 12 --dx 0.033333333",
+];
+
+/// The gradient by two and three ranks is that of one process, and that of differences of runs, which ranks make as well.
+#[test]
+fn a_gradient_over_ranks_is_that_of_one() {
+    for scene in GRADIENTS {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |report: &serde_json::Value, key: &str| -> Vec<f64> {
+            report[key].as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+        };
+        let growth = |report: &serde_json::Value| -> Vec<f64> {
+            report["growth"].as_array().unwrap().iter().map(|at| at["norm"].as_f64().unwrap()).collect()
+        };
+        let alone = checked(0, scene, &folder.path().join("alone"));
+        let wanted = of(&alone, "gradient");
+        for ranks in [2, 3] {
+            let shared = checked(ranks, scene, &folder.path().join(ranks.to_string()));
+            let found = of(&shared, "gradient");
+            assert_eq!(found.len(), wanted.len());
+            let size = wanted.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let worst = found.iter().zip(&wanted).fold(0.0f64, |most, (a, b)| most.max((a - b).abs())) / size;
+            println!("{scene}: {ranks} ranks, {worst:.1e}");
+            let tolerance = if scene.contains("f32") { 1e-4 } else { 1e-10 };
+            assert!(size > 0.0 && worst <= tolerance, "{scene}, {ranks} ranks: {worst}");
+            // The lengths of cotangents of the state, too.
+            for (a, b) in growth(&shared).iter().zip(growth(&alone)) {
+                assert!((a / b - 1.0).abs() <= 10.0 * tolerance, "{scene}, {ranks} ranks: {a}, {b}");
+            }
+        }
+    }
+}
+
+/// A search by two ranks finds what one process finds, and goes on with another number of ranks.
+#[test]
+fn a_search_over_ranks_is_that_of_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let search = |ranks: usize, more: &str, out: &Path| -> serde_json::Value {
+        let mut command = hydrograd(ranks);
+        command.args("optimize --no-verify --threads 1".split(' ')).args(more.split(' ')).arg(out);
+        let output = output(&mut command);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(String::from_utf8_lossy(&output.stdout).matches("next: hydrograd simulate").count(), 1);
+        serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).unwrap()).unwrap()
+    };
+    let scene = "heated-channel --set optimise.search=scene --set resolution.dx=0.025 --set time.end=0.2 --set objective.window=0.1";
+    let whole = search(0, &format!("{scene} --epochs 4 --out"), &place("alone"));
+    search(2, &format!("{scene} --epochs 2 --out"), &place("parts"));
+    let parts = search(3, "--epochs 4 --resume", &place("parts"));
+    let [a, b] = [&whole, &parts].map(|summary| summary["q"].as_f64().or(summary["q_best"].as_f64()).unwrap());
+    assert!((a / b - 1.0).abs() < 1e-9, "{a} {b}");
+}
+
+/// Ranks make whole flows of a data set each: the same files as one process makes.
+#[test]
+fn a_data_set_by_ranks_is_that_of_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let make = |ranks: usize, name: &str| {
+        let out = folder.path().join(name);
+        let mut command = hydrograd(ranks);
+        command.args("generate heated-channel --set resolution.dx=0.025 --skip 20".split(' '));
+        command.args("--trajectories 3/1/1 --frames 6 --threads 1 --out".split(' ')).arg(&out);
+        let output = output(&mut command);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        (out, said)
+    };
+    let ((alone, _), (shared, said)) = (make(0, "alone"), make(3, "shared"));
+    assert!(said.contains("3 ranks: each makes whole flows") && said.contains("5 trajectories made"), "{said}");
+    for split in ["train", "valid", "test"] {
+        let open = |folder: &Path| hdf5::File::open(folder.join(format!("{split}.h5"))).unwrap();
+        let (a, b) = (open(&alone), open(&shared));
+        let names = |file: &hdf5::File| file.member_names().unwrap();
+        assert_eq!(names(&a), names(&b));
+        for name in names(&a) {
+            let read =
+                |file: &hdf5::File| file.dataset(&format!("{name}/position")).unwrap().read_raw::<f32>().unwrap();
+            assert_eq!(read(&a), read(&b), "{split}, {name}");
+        }
+    }
+    let (_, again) = make(2, "shared");
+    assert!(again.contains("is complete: 5 trajectories"), "{again}");
+}
+
+/// From several starts every rank makes whole searches, and the first one compares them.
+#[test]
+fn starts_by_ranks_are_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let gains = |ranks: usize| {
+        let out = folder.path().join(ranks.to_string());
+        let mut command = hydrograd(ranks);
+        command
+            .args("optimize heated-channel --start all --epochs 2 --no-verify --threads 1 --out".split(' '))
+            .arg(&out);
+        let output = output(&mut command);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(said.contains("each searches from starts of its own"), ranks > 0, "{said}");
+        let summary: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+        ["flat", "random", "linear", "sine"].map(|start| summary[start]["q"].as_f64().unwrap())
+    };
+    assert_eq!(gains(0), gains(3));
+}
+
+/// Designs that ranks cannot share.
+#[test]
+fn searches_that_ranks_cannot_share_are_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    for (what, text, advice) in [
+        ("optimize heated-channel", "a search by fixed particles over several ranks", "optimise.search=scene"),
+        ("optimize heated-channel --dynamics surrogate", "a surrogate over several ranks", "without mpirun"),
+        ("optimize heated-channel --compare", "a comparison of searches over several ranks", "without mpirun"),
+        ("check-gradient heated-channel --method fixed", "method.name = fixed over several ranks", "without mpirun"),
+        ("check-gradient heated-channel --set optimise.clip=10", "a clipped gradient", "optimise.clip=0"),
+        ("check-gradient heated-channel --set optimise.gradient=truncated", "through a whole run", "segments"),
+        ("check-gradient heated-channel --set time.adaptive=true", "time.adaptive", "time.adaptive=false"),
+    ] {
+        let mut command = hydrograd(2);
+        command.args(what.split(' ')).arg("--out").arg(&out);
+        let output = output(&mut command);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{what}: {said}");
+        assert_eq!(said.lines().filter(|line| line.starts_with("error: ")).count(), 1, "{what}: {said}");
+        assert!(said.contains(text) && said.contains(advice), "{what}: {said}");
+        assert!(!out.exists(), "{what}");
+    }
+}
+
 #[test]
 fn what_ranks_cannot_share_is_told_once() {
     let folder = tempfile::tempdir().unwrap();
@@ -344,7 +506,7 @@ fn what_ranks_cannot_share_is_told_once() {
         ("heated-channel --method fixed", "method.name = fixed over several ranks", "without mpirun"),
         ("vortex-street", "over several ranks", "without mpirun"),
         (
-            "taylor-green --method standard --set method.density_equation=evolution --set method.flux=delta",
+            "taylor-green --method standard --set method.density_equation=evolution --set method.flux=delta --set method.density_gradient=jax-sph",
             "these keys",
             "without mpirun",
         ),
@@ -380,7 +542,7 @@ fn a_flow_that_diverges_is_told_once() {
 fn other_commands_are_for_one_process() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = hydrograd(2);
-    command.current_dir(folder.path()).args(["generate", "heated-channel", "--out", "unwritten"]);
+    command.current_dir(folder.path()).args(["validate", "--quick", "--out", "unwritten"]);
     let output = output(&mut command);
     let error = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{error}");

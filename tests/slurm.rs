@@ -451,6 +451,8 @@ fn a_flow_has_ranks_too() {
     for part in ["#SBATCH --ntasks=4", &format!("{srun} taylor-green"), &format!("{srun} --resume runs/none")] {
         assert!(text.contains(part), "no `{part}` in {text}");
     }
+    let search = "--ranks 2 optimize --set optimise.search=scene --no-verify --out runs/none";
+    assert_eq!(jobs_of(search).unwrap().0.ranks, Some(2));
 }
 
 #[test]
@@ -488,6 +490,8 @@ fn mistakes_are_told_before_the_queue() {
         ("--tasks 2 simulate", ["--tasks 2", "generate, stress"]),
         ("--tasks 5 optimize --start all --out runs/none", ["--tasks 5", "1 ... 4"]),
         ("--ranks 2 generate --out runs/none", ["--ranks 2", "train, simulate"]),
+        ("--ranks 2 optimize --start all --out runs/none", ["--ranks 2", "--tasks"]),
+        ("--ranks 2 optimize --out runs/none", ["fixed particles over several ranks", "optimise.search=scene"]),
         (
             "--ranks 2 simulate --method fixed --out runs/none",
             ["method.name = fixed over several ranks", "without mpirun"],

@@ -124,6 +124,10 @@ pub trait Dynamics: Sync {
     fn check(&self, run: &Self::Run) -> Result<(), RunError>;
     fn look(&self, run: &mut Self::Run) -> Result<Fields, RunError>;
 
+    /// The sum of a number over all processes that have a part of the state each.
+    fn over_all(&self, own: f64) -> f64 {
+        own
+    }
     /// A mask that broadcasts to the state, 1 where the flow moves a value and 0 elsewhere; none means all.
     /// [`super::schedule::Schedule::clip`] applies only where it is 1; elsewhere derivatives by a design accumulate.
     fn moving(&self) -> candle_core::Result<Option<Tensor>> {

@@ -37,8 +37,9 @@ pub fn value<O: Objective + ?Sized>(objective: &O, fields: &Fields) -> candle_co
     objective.value(fields)?.to_dtype(DType::F64)?.to_scalar()
 }
 
-fn norm(tensor: &Tensor) -> candle_core::Result<f64> {
-    Ok(tensor.to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?.sqrt())
+fn norm<D: Dynamics>(dynamics: &D, tensor: &Tensor) -> candle_core::Result<f64> {
+    let square = tensor.to_dtype(DType::F64)?.sqr()?.sum_all()?.to_scalar::<f64>()?;
+    Ok(dynamics.over_all(square).sqrt())
 }
 
 /// Called after each segment (or each forward step) with the completed fraction of the work.
@@ -126,12 +127,12 @@ impl Clip {
     }
 
     /// The limited derivative by a state, of a segment that ends at step `to`.
-    fn apply(&mut self, found: Tensor, to: usize) -> candle_core::Result<Tensor> {
+    fn apply<D: Dynamics>(&mut self, dynamics: &D, found: Tensor, to: usize) -> candle_core::Result<Tensor> {
         let own = match &self.moving {
             Some(moving) => found.broadcast_mul(moving)?,
             None => found.clone(),
         };
-        let length = norm(&own)?;
+        let length = norm(dynamics, &own)?;
         if !self.is_complete {
             self.longest = self.longest.max(length);
             self.is_complete = to < self.first_term;
@@ -223,14 +224,14 @@ fn run<D: Dynamics, O: Objective + ?Sized>(
                 let mut found = executor.tape(from, to, transient, cotangent)?;
                 // Not at every step, because it reads the whole state.
                 if from / CHECK_EVERY != to / CHECK_EVERY || from == schedule.first {
-                    let norm = norm(&found).map_err(RunError::tensor(from))?;
+                    let norm = norm(dynamics, &found).map_err(RunError::tensor(from))?;
                     if !norm.is_finite() {
                         let until = growth.last().map_or(schedule.steps, |(step, _)| *step);
                         return Err(RunError::Gradient { step: from, until, norm });
                     }
                     growth.push((from, norm));
                     if let Some(clip) = &mut clip {
-                        found = clip.apply(found, to).map_err(RunError::tensor(from))?;
+                        found = clip.apply(dynamics, found, to).map_err(RunError::tensor(from))?;
                     }
                 }
                 cotangent = Some(found);

@@ -4,15 +4,18 @@ use super::arguments::{at_least_one, CommonArguments, GradientArguments};
 use super::files::{self, write_json};
 use super::page;
 use super::periodic_box;
-use super::prepare::{build, open_device, use_threads};
+use super::prepare::{build, open_device, use_threads_of};
+use super::ranks::check_design;
 use super::run_folder::{Earlier, RunFolder};
 use super::{around_bodies, around_shapes};
 use crate::adjoint::check::{check, cosine, Direction};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
 use crate::design::problem::Derivative;
+use crate::design::Problem;
 use crate::error::Error;
 use crate::numerics::random::{stream, uniform};
+use crate::numerics::ranks::Ranks;
 use crate::report::plots::compare;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
@@ -83,10 +86,16 @@ const EXPLODED: f64 = 1e3;
 /// Steps of the differences, in offset units times a direction with components +-1.
 const STEPS: [f64; 9] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11];
 
-pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<()> {
+pub fn run(loaded: Loaded, arguments: CheckGradientArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let folder = arguments.common.folder(None, KIND, &loaded)?;
-    use_threads(loaded.config.run.threads);
+    use_threads_of(ranks, loaded.config.run.threads);
     open_device(&loaded)?;
+    if ranks.size() > 1 {
+        check_design(&loaded)?;
+    }
+    if ranks.rank() > 0 {
+        return follow(&loaded, ranks);
+    }
     RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     if loaded.config.is_around_bodies() {
         let mut around = AroundBodies::new(&loaded.config)?;
@@ -106,10 +115,10 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     }
     let config = &config;
     let Derivative { by_variables, growth, clipped, residual, .. } = match config.run.precision {
-        Precision::F32 => gradient::<f32>(config)?,
-        Precision::F64 => gradient::<f64>(config)?,
+        Precision::F32 => gradient::<f32>(config, ranks)?,
+        Precision::F64 => gradient::<f64>(config, ranks)?,
     };
-    let (problem, _) = build::<f64>(config)?;
+    let problem = shared::<f64>(config, ranks)?;
     let (first, figure) = (&problem.first, problem.figure);
     let gradient: Vec<f64> = by_variables.iter().map(|g| g * figure.factor).collect();
     let mut random = stream(config.run.seed, "check");
@@ -129,6 +138,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     let results = check(value, &gradient, first, &directions, &STEPS, f)
         .map_err(|e| Error::run(e.to_string(), "time.cfl=0.5, or a wall further from its limits"))?;
     bar.finish();
+    problem.dismiss();
 
     let tolerance = match config.run.precision {
         Precision::F32 => TOLERANCE_F32,
@@ -225,9 +235,26 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments) -> anyhow::Result<
     Ok(())
 }
 
+/// The design problem of a configuration.
+fn shared<R: Sweeps>(config: &Config, ranks: &Ranks) -> anyhow::Result<Problem<R>> {
+    Ok(build::<R>(config)?.0.shared(ranks)?)
+}
+
 /// The gradient of the objective without the roughness penalty, which is exact and would hide errors.
-fn gradient<R: Sweeps>(config: &Config) -> anyhow::Result<Derivative> {
-    let (problem, _) = build::<R>(config)?;
+fn gradient<R: Sweeps>(config: &Config, ranks: &Ranks) -> anyhow::Result<Derivative> {
+    let problem = shared::<R>(config, ranks)?;
     let schedule = problem.schedule(&config.optimise, config.run.precision)?;
-    Ok(problem.differentiate(&problem.first, &schedule, &mut |_| ())?)
+    let found = problem.differentiate(&problem.first, &schedule, &mut |_| ());
+    problem.dismiss();
+    Ok(found?)
+}
+
+/// Another rank's part of the gradient and of the runs that check it.
+fn follow(loaded: &Loaded, ranks: &Ranks) -> anyhow::Result<()> {
+    match loaded.config.run.precision {
+        Precision::F32 => shared::<f32>(&loaded.config, ranks)?.follow(),
+        Precision::F64 => shared::<f64>(&loaded.config, ranks)?.follow(),
+    }
+    shared::<f64>(&loaded.config, ranks)?.follow();
+    Ok(())
 }

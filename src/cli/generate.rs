@@ -19,6 +19,7 @@ use crate::error::{BadInput, Error};
 use crate::io::hdf5_file::open;
 use crate::io::FileError;
 use crate::numerics::interrupt;
+use crate::numerics::ranks::Ranks;
 use crate::report::page::PAGE;
 use crate::report::progress::Progress;
 use crate::report::text::bytes;
@@ -85,7 +86,7 @@ pub struct GenerateArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "walls")]
     pub walls_file: Option<PathBuf>,
     /// Trajectories in pairs: every second one is the one before it over a neighbouring wall, whose nodes differ by at most
-    /// this. For `hydrograd train --set objective.weight=1`.
+    /// this (with --walls-file every line has its pair). For `hydrograd train --set objective.weight=1`.
     #[arg(long, value_name = "LENGTH", default_value_t = 0.0, hide_default_value = true)]
     pub pairs: f64,
     /// Also write the heat that flows out of the steady flow over each wall and its derivative by the nodes (datasets
@@ -154,7 +155,12 @@ const FREE: [&str; 3] = ["output", "run.threads", "optimise"];
 
 const KIND: &str = "generate";
 
-pub fn run(arguments: GenerateArguments) -> anyhow::Result<()> {
+/// Whether this process goes on, as the first of all ranks says.
+fn goes_on(ranks: &Ranks, wanted: bool) -> bool {
+    ranks.all(&[f64::from(u8::from(wanted))])[0] > 0.0
+}
+
+pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let loaded = arguments.common.load(None, vec![], vec![])?;
     let recipe = arguments.recipe(&loaded)?;
     recipe.check(&loaded).map_err(|bad| bad.located(|key| Some(option_of(&recipe, key))))?;
@@ -170,11 +176,22 @@ pub fn run(arguments: GenerateArguments) -> anyhow::Result<()> {
         recipe.ready(&loaded, job).map_err(of_line)?;
     }
     let folder = arguments.common.folder(None, KIND, &loaded)?;
-    RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     let store = Store::new(&folder);
+    let of_rank = Shard { index: ranks.rank(), count: ranks.size() };
+    let mine: Vec<Job> = of_rank.of(&shard.of(&recipe.jobs()).copied().collect::<Vec<_>>()).copied().collect();
+    if ranks.rank() > 0 {
+        // The first rank has begun the folder.
+        if goes_on(ranks, true) {
+            interrupt::listen_quietly()?;
+            share(&store, &loaded, &recipe, &mine, ranks)?;
+        }
+        return Ok(());
+    }
+    RunFolder::check(&folder, KIND, Earlier::Replaced)?;
     check_same(&store, &loaded, &recipe)?;
     let jobs = recipe.jobs();
     if store.is_complete() {
+        goes_on(ranks, false);
         println!("{} is complete: {} trajectories", folder.display(), jobs.len());
         // The run ended after the merge, or is of an earlier version.
         if !folder.join(PAGE).is_file() {
@@ -192,22 +209,13 @@ pub fn run(arguments: GenerateArguments) -> anyhow::Result<()> {
         store.begin(&loaded.text, &Begun { recipe: recipe.clone(), version: VERSION.into() })?;
     }
     std::fs::create_dir_all(store.parts()).map_err(|source| FileError::write(&store.parts(), source))?;
-    let mine: Vec<Job> = shard.of(&jobs).copied().collect();
-    let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
-    for &job in mine.iter().filter(|job| !todo.contains(job)) {
-        open(&store.part(job), "trajectory").map_err(|error| {
-            BadInput::new(error.to_string())
-                .place(format!("--out {}", folder.display()))
-                .allowed("trajectories as they were written")
-                .advice(format!("remove {} and give the same command again", store.part(job).display()))
-        })?;
-    }
+    goes_on(ranks, true);
     interrupt::listen("the same command again: finished trajectories are kept")?;
-    let clock = Instant::now();
-    let workers = make(&store, &loaded, &recipe, &todo)?;
-    let seconds = clock.elapsed().as_secs_f64();
-    let (count, kept) = (todo.len(), mine.len() - todo.len());
-    let made = Made { made: count, kept, seconds, workers };
+    if ranks.size() > 1 {
+        println!("{} ranks: each makes whole flows of its own", ranks.size());
+    }
+    let made = share(&store, &loaded, &recipe, &mine, ranks)?;
+    let Made { made: count, kept, seconds, workers } = made;
     let each = seconds * workers as f64 / count.max(1) as f64;
     println!(
         "{count} trajectories made in {seconds:.1} s by {workers} workers ({each:.2} s of a worker each), {kept} kept \
@@ -236,7 +244,38 @@ pub fn run(arguments: GenerateArguments) -> anyhow::Result<()> {
     }
 }
 
-/// The trajectories that this process made or found.
+/// Makes those of the given trajectories that are not there yet. All ranks do so, and know of all when they are done.
+fn share(store: &Store, loaded: &Loaded, recipe: &Recipe, mine: &[Job], ranks: &Ranks) -> anyhow::Result<Made> {
+    let clock = Instant::now();
+    let own = missing_of(store, loaded, recipe, mine, ranks);
+    let numbers = own.as_ref().map_or([0.0; 3], |own| [own.made, own.kept, own.workers].map(|count| count as f64));
+    // Also where this one was stopped: the others wait here.
+    let all = ranks.sum(&numbers);
+    own?;
+    let [made, kept, workers] = [0, 1, 2].map(|k| all[k] as usize);
+    Ok(Made { made, kept, workers, seconds: clock.elapsed().as_secs_f64() })
+}
+
+/// This rank's part of [`share`].
+fn missing_of(store: &Store, loaded: &Loaded, recipe: &Recipe, mine: &[Job], ranks: &Ranks) -> anyhow::Result<Made> {
+    let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
+    for &job in mine.iter().filter(|job| !todo.contains(job)) {
+        open(&store.part(job), "trajectory").map_err(|error| {
+            BadInput::new(error.to_string())
+                .place(format!("--out {}", store.folder.display()))
+                .allowed("trajectories as they were written")
+                .advice(format!("remove {} and give the same command again", store.part(job).display()))
+        })?;
+    }
+    let threads = match loaded.config.run.threads {
+        0 => ranks.threads().unwrap_or(0),
+        threads => threads,
+    };
+    let workers = make(store, loaded, recipe, &todo, threads)?;
+    Ok(Made { made: todo.len(), kept: mine.len() - todo.len(), workers, ..Made::default() })
+}
+
+/// The trajectories that all processes of a command made or found.
 #[derive(Default)]
 struct Made {
     made: usize,
@@ -337,10 +376,10 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
 }
 
 /// Makes trajectories with as many workers as threads, and returns their number.
-fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job]) -> anyhow::Result<usize> {
+fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job], threads: usize) -> anyhow::Result<usize> {
     // Workers are independent; operators with several threads would only wait for each other.
     use_threads(1);
-    let workers = workers(loaded.config.run.threads, jobs.len());
+    let workers = workers(threads, jobs.len());
     let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
     let made = share_out(workers, jobs, |&job| one(store, loaded, recipe, job, &bar));
     bar.finish();

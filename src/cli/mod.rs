@@ -176,18 +176,23 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         machine::begin()?;
     }
     env_logger::Builder::from_default_env().init();
-    if !matches!(cli.command, Command::Simulate(_) | Command::Train(_)) {
+    use Command::{CheckGradient, Generate, Optimize, Simulate, Train};
+    if !matches!(cli.command, Simulate(_) | Train(_) | Optimize(_) | CheckGradient(_) | Generate(_)) {
         ranks::together(ranks::alone)?;
     }
     match cli.command {
         Command::Simulate(arguments) => {
             ranks::together(|ranks| on(arguments.load()?, |scene| simulate::run(scene, arguments, ranks)))
         }
-        Command::Optimize(arguments) => on(arguments.load()?, |scene| optimize::run(scene, arguments)),
+        Command::Optimize(arguments) => {
+            ranks::together(|ranks| on(arguments.load()?, |scene| optimize::run(scene, arguments, ranks)))
+        }
         Command::Verify(arguments) => verify::run(arguments),
         Command::Validate(arguments) => validate::run(arguments),
         Command::Stress(arguments) => stress::run(arguments),
-        Command::CheckGradient(arguments) => on(arguments.load()?, |scene| check_gradient::run(scene, arguments)),
+        Command::CheckGradient(arguments) => {
+            ranks::together(|ranks| on(arguments.load()?, |scene| check_gradient::run(scene, arguments, ranks)))
+        }
         Command::Recover(arguments) => on(arguments.load()?, |scene| recover::run(scene, arguments)),
         Command::Calibrate(arguments) => calibrate::run(arguments),
         Command::Train(arguments) => train::run(arguments),
@@ -195,7 +200,7 @@ pub fn run(cli: Cli) -> anyhow::Result<()> {
         Command::Rollout(arguments) => rollout::run(arguments),
         Command::Study(arguments) => study::run(arguments),
         Command::Bench(arguments) => bench::run(arguments),
-        Command::Generate(arguments) => generate::run(arguments),
+        Command::Generate(arguments) => ranks::together(|ranks| generate::run(arguments, ranks)),
         Command::Merge(arguments) => generate::merge(arguments),
         Command::Dataset { command: dataset::DatasetCommand::Inspect(arguments) } => dataset::inspect(arguments),
         Command::Compare(arguments) => page::compare::run(arguments),

@@ -5,9 +5,10 @@ use super::arguments::{
 };
 use super::explain::explain;
 use super::optimize_report::Outcome;
-use super::optimize_search::{has_its_epochs, one, Begin, KIND};
-use super::optimize_starts::{check_begun, every_start, share_of_starts, StartName, STARTS};
-use super::prepare::{open_device, use_threads};
+use super::optimize_search::{follow, has_its_epochs, one, Begin, KIND};
+use super::optimize_starts::{check_begun, every_start, share_of_starts, starts_of_rank, StartName, STARTS};
+use super::prepare::{open_device, use_threads_of};
+use super::ranks::check_design;
 use super::run_folder::{earlier, is_finished, Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use super::{around_optimize, figure_errors, files, optimize_compare, page, verify};
@@ -15,6 +16,7 @@ use crate::config::layers::Setting;
 use crate::config::scene::{DynamicsName, Family, Trust};
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
+use crate::numerics::ranks::Ranks;
 use crate::report::progress::Tasks;
 use crate::scene::load::Loaded;
 use crate::scene::verification::Verification;
@@ -172,14 +174,55 @@ fn parse_trust(text: &str) -> Result<(Trust, Option<usize>), String> {
     }
 }
 
-pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
+/// Checks that several ranks can share a search.
+pub(super) fn check_shared(loaded: &Loaded, arguments: &OptimizeArguments) -> Result<(), Error> {
+    let alone = |place: &str, problem: &str| {
+        let bad = BadInput::new(format!("{problem} over several ranks")).place(place);
+        Err(bad.allowed("one search, judged by the solver").advice("start it without mpirun").into())
+    };
+    if arguments.compare {
+        return alone("--compare", "a comparison of searches");
+    }
+    if arguments.accuracy.is_some() {
+        return alone("--accuracy", "the choice of a spacing");
+    }
+    if arguments.shard.share()?.is_some() {
+        return alone("--shard", "a share of the starts");
+    }
+    if arguments.start == Some(StartName::All) {
+        // Each makes whole searches.
+        return Ok(());
+    }
+    if loaded.config.optimise.dynamics != DynamicsName::Solver {
+        return alone("optimise.dynamics", "a surrogate");
+    }
+    let searched = loaded.for_search()?;
+    if loaded.config.method.facts().moves && !searched.config.method.facts().moves {
+        let problem = "a search by fixed particles over several ranks: one matrix of the whole flow is solved";
+        let bad = BadInput::new(problem).key("optimise.search").allowed("scene: by the particles of the scene");
+        return Err(loaded.located(bad.advice("optimise.search=scene, or start it without mpirun")).into());
+    }
+    Ok(check_design(&searched)?)
+}
+
+pub fn run(loaded: Loaded, arguments: OptimizeArguments, ranks: &Ranks) -> anyhow::Result<()> {
+    if ranks.size() > 1 {
+        check_shared(&loaded, &arguments)?;
+    }
     let share = arguments.share()?;
     let folder = match share {
         // All shares use the same folder.
         Some(_) => arguments.folder(&loaded)?,
         None => arguments.free(arguments.folder(&loaded)?),
     };
-    use_threads(loaded.config.run.threads);
+    use_threads_of(ranks, loaded.config.run.threads);
+    if ranks.rank() > 0 {
+        interrupt::listen_quietly()?;
+        return match arguments.kind() {
+            STARTS => starts_of_rank(&loaded, &folder, ranks),
+            _ => follow(&loaded, ranks),
+        };
+    }
     open_device(&loaded)?;
     if arguments.explain.explain {
         return explain(&loaded.for_search()?, true);
@@ -202,7 +245,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         if share.is_some() {
             check_begun(&folder, &loaded)?;
         }
-        // A finished comparison of all parts stays as it is.
+        // A finished comparison of all parts stays as it is. (Others that wait for this rank end with its error.)
         if earlier == Earlier::Resumed && is_finished(&folder) {
             let epochs = files::read_config(&folder)?.config.optimise.epochs;
             if loaded.config.optimise.epochs <= epochs {
@@ -213,6 +256,14 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
         if let Some(shard) = share {
             return share_of_starts(&loaded, &folder, shard);
         }
+        let earlier = match ranks.size() {
+            1 => earlier,
+            several => {
+                println!("{several} ranks: each searches from starts of its own");
+                starts_of_rank(&loaded, &folder, ranks)?;
+                Earlier::Resumed
+            }
+        };
         let own = RunFolder::take(&folder, kind, earlier)?;
         // The parts are finished only after all of them, because the comparison uses each.
         let parts = match arguments.compare {
@@ -228,7 +279,7 @@ pub fn run(loaded: Loaded, arguments: OptimizeArguments) -> anyhow::Result<()> {
     if searched.config.is_around_shapes() {
         return around_optimize::run(&searched, &folder, earlier, !arguments.no_verify);
     }
-    let begin = Begin { folder: &folder, resume, earlier, name: "", tasks: &Tasks::default() };
+    let begin = Begin { folder: &folder, resume, earlier, name: "", tasks: &Tasks::default(), ranks: Some(ranks) };
     let (own, outcome) = one(&loaded, begin)?;
     println!("{}", outcome.text);
     println!(

@@ -11,6 +11,7 @@ use crate::design::search::Watch;
 use crate::design::{checkpoint, Judge, Optimisation, Search};
 use crate::error::BadInput;
 use crate::io::csv::write_rows;
+use crate::numerics::ranks::Ranks;
 use crate::report::progress::{Progress, Tasks};
 use crate::scene::checkpoint::open;
 use crate::scene::load::Loaded;
@@ -39,6 +40,8 @@ pub struct Begin<'a> {
     /// Its name among several runs, which may be finished while others are not; empty for a single run.
     pub name: &'a str,
     pub tasks: &'a Tasks,
+    /// Those who share the flow; none where there is one process.
+    pub ranks: Option<&'a Ranks>,
 }
 
 impl<'a> Begin<'a> {
@@ -46,7 +49,7 @@ impl<'a> Begin<'a> {
     pub fn part(folder: &'a Path, earlier: Earlier, name: &'a str, tasks: &'a Tasks) -> Self {
         let is_begun = folder.join(CHECKPOINT).exists() || is_unfinished(folder, KIND);
         let resume = Some(folder).filter(|_| earlier == Earlier::Resumed && is_begun);
-        Self { folder, resume, earlier, name, tasks }
+        Self { folder, resume, earlier, name, tasks, ranks: None }
     }
 }
 
@@ -60,7 +63,10 @@ pub fn one(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcom
 
 fn go<R: Sweeps>(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, Outcome)> {
     let (config, folder) = (&loaded.config, how.folder);
-    let solver = loaded.scheduled::<R>()?;
+    let mut solver = loaded.scheduled::<R>()?;
+    if let Some(ranks) = how.ranks {
+        solver.problem = solver.problem.shared(ranks)?;
+    }
     // The scene for plots and reports, if it differs from that of the search.
     let differs = loaded.for_search()?.config != *config;
     let scene = differs.then(|| build::<R>(config)).transpose()?.map(|(scene, _)| scene);
@@ -81,9 +87,20 @@ fn go<R: Sweeps>(loaded: &Loaded, how: Begin<'_>) -> anyhow::Result<(RunFolder, 
     let told = Instant::now();
     let mut kept =
         Kept { folder, notes, figure: solver.problem.figure, predicts: surrogate.is_some(), done, name, told, bar };
-    search.run(&mut optimisation, config.optimise.epochs, &mut kept)?;
+    let searched = search.run(&mut optimisation, config.optimise.epochs, &mut kept);
+    solver.problem.dismiss();
+    searched?;
     kept.bar.finish();
     Ok((own, report(loaded, folder, (&solver.problem, scene.as_ref()), &optimisation)?))
+}
+
+/// Another rank's part of a search: its share of the flow.
+pub fn follow(loaded: &Loaded, ranks: &Ranks) -> anyhow::Result<()> {
+    match loaded.config.run.precision {
+        Precision::F32 => loaded.scheduled::<f32>()?.problem.shared(ranks)?.follow(),
+        Precision::F64 => loaded.scheduled::<f64>()?.problem.shared(ranks)?.follow(),
+    }
+    Ok(())
 }
 
 /// Stores a search in its folder and shows its progress.

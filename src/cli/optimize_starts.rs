@@ -1,6 +1,7 @@
 //! `hydrograd optimize --start all`: searches from several initial shapes, at once or in shares, and their comparison.
 
 use super::arguments::name_of;
+use super::optimize_report::Outcome;
 use super::optimize_search::{one, Begin, FREE};
 use super::prepare::{difference, share_out, workers};
 use super::run_folder::{Earlier, RunFolder};
@@ -12,6 +13,7 @@ use crate::design::objectives::Figure;
 use crate::design::optimise::Epoch;
 use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
+use crate::numerics::ranks::Ranks;
 use crate::report::plots::compare;
 use crate::report::progress::Tasks;
 use crate::report::table::Table;
@@ -71,24 +73,45 @@ pub fn check_begun(folder: &Path, loaded: &Loaded) -> Result<(), Error> {
     }
 }
 
-/// Runs the starts of a share in the common folder. A run without a share compares them.
-pub fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::Result<()> {
+/// Runs the starts of a share in the common folder.
+fn search_share(
+    loaded: &Loaded,
+    folder: &Path,
+    shard: Shard,
+    threads: usize,
+) -> anyhow::Result<Vec<(String, Outcome)>> {
     let runs = starts(loaded)?;
     let _own = RunFolder::share(folder, STARTS)?;
     files::write_config(folder, loaded)?;
     let mine: Vec<&(String, Loaded)> = shard.of(&runs).collect();
     let tasks = Tasks::default();
-    let outcomes = share_out(workers(loaded.config.run.threads, mine.len()), &mine, |(name, loaded)| {
+    let outcomes = share_out(workers(threads, mine.len()), &mine, |(name, loaded)| {
         let folder = folder.join(name);
         one(loaded, Begin::part(&folder, Earlier::Resumed, name, &tasks))
     })?;
+    Ok(mine.iter().zip(outcomes).map(|((name, _), (_, outcome))| (name.clone(), outcome)).collect())
+}
+
+/// Runs the starts of this one of several ranks, when all of them do so. The first one then compares all starts.
+pub fn starts_of_rank(loaded: &Loaded, folder: &Path, ranks: &Ranks) -> anyhow::Result<()> {
+    ranks.all(&[0.0]);
+    let threads = ranks.threads().unwrap_or(0);
+    let shard = Shard { index: ranks.rank(), count: ranks.size() };
+    let searched = search_share(loaded, folder, shard, threads);
+    // Also where this one was stopped: the others wait here.
+    ranks.all(&[0.0]);
+    searched.map(drop)
+}
+
+/// Runs the starts of a share in the common folder. A run without a share compares them.
+pub fn share_of_starts(loaded: &Loaded, folder: &Path, shard: Shard) -> anyhow::Result<()> {
+    let found = search_share(loaded, folder, shard, loaded.config.run.threads)?;
     // The same answer as for all starts without a share.
-    let found = mine.iter().zip(&outcomes).map(|((name, _), (_, outcome))| (name.clone(), json!(outcome.record)));
-    machine::answer(&found.collect());
-    for (_, outcome) in &outcomes {
+    machine::answer(&found.iter().map(|(name, outcome)| (name.clone(), json!(outcome.record))).collect());
+    for (_, outcome) in &found {
         println!("{}", outcome.text);
     }
-    println!("{} of {} starts", mine.len(), runs.len());
+    println!("{} of {} starts", found.len(), StartName::EACH.len());
     println!("next: hydrograd {STARTS} --resume {}    once all shares are done, compares all starts", folder.display());
     Ok(())
 }

@@ -7,6 +7,7 @@ pub use crate::config::difference::difference;
 use crate::config::scene::Kernels;
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
+use crate::numerics::ranks::Ranks;
 use crate::numerics::threads::{self, available, cores, in_words};
 use crate::scene::load::Loaded;
 pub use crate::scene::{build_design as build, require_design};
@@ -25,6 +26,11 @@ pub fn use_threads(threads: usize) {
         let problem = format!("{} on {cores} core(s): no faster", in_words(asked));
         guard::warn(&problem, &format!("run.threads={cores}, or 0 (every core that the process may use)"));
     }
+}
+
+/// The same for one of several ranks, which share the cores of their machine.
+pub fn use_threads_of(ranks: &Ranks, threads: usize) {
+    use_threads(if threads == 0 { ranks.threads().unwrap_or(0) } else { threads });
 }
 
 /// Opens the device of a configuration, before anything is written.

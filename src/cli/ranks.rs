@@ -2,8 +2,11 @@
 
 use super::guard::{stopped_by, tell_error};
 use super::machine;
+use crate::config::device::DeviceName;
+use crate::config::scene::{GradientMode, Kernels};
 use crate::error::BadInput;
 use crate::numerics::ranks::Ranks;
+use crate::scene::load::Loaded;
 use std::time::Duration;
 
 /// Runs a command on every rank that was started with this one. Only the first prints.
@@ -43,8 +46,62 @@ pub fn alone(ranks: &Ranks) -> anyhow::Result<()> {
         1 => Ok(()),
         several => Err(BadInput::new(format!("{several} processes, each of which would do all of this command"))
             .place("mpirun")
-            .allowed("simulate and train, which share their work over ranks")
-            .advice("start it without mpirun; several machines make one data set with generate --shard")
+            .allowed("simulate, check-gradient, optimize, generate and train, which share their work over ranks")
+            .advice("start it without mpirun")
             .into()),
     }
+}
+
+/// Checks that several ranks can share the flow of a configuration.
+///
+/// # Errors
+/// [`BadInput`]: a method, kernels or a device for one process.
+pub fn check_flow(loaded: &Loaded) -> Result<(), BadInput> {
+    let (config, alone) = (&loaded.config, "start it without mpirun, with --threads");
+    if !config.method.facts().moves {
+        return Err(loaded.located(
+            BadInput::new(format!(
+                "method.name = {} over several ranks: one matrix of the whole flow is solved",
+                config.method.name()
+            ))
+            .key("method.name")
+            .allowed("methods whose particles move, such as consistent")
+            .advice(alone),
+        ));
+    }
+    if config.run.kernels == Kernels::Composed || config.run.device != DeviceName::Cpu {
+        return Err(loaded.located(
+            BadInput::new("composed kernels over several ranks")
+                .key("run.kernels")
+                .allowed("fused, on the CPU")
+                .advice(alone),
+        ));
+    }
+    Ok(())
+}
+
+/// Checks that several ranks can share the gradients of a design.
+///
+/// # Errors
+/// [`BadInput`]: as for [`check_flow`]; a gradient that is not that of a whole run.
+pub fn check_design(loaded: &Loaded) -> Result<(), BadInput> {
+    check_flow(loaded)?;
+    let optimise = &loaded.config.optimise;
+    if matches!(optimise.gradient, GradientMode::Truncated | GradientMode::Steady) {
+        return Err(loaded.located(
+            BadInput::new("a gradient over several ranks that does not go back through a whole run")
+                .key("optimise.gradient")
+                .allowed("segments, taped, or differences of runs")
+                .advice("optimise.gradient=segments"),
+        ));
+    }
+    if optimise.clip > 0.0 {
+        return Err(loaded.located(
+            BadInput::new("a clipped gradient over several ranks")
+                .key("optimise.clip")
+                .allowed("0, the exact gradient")
+                .advice("optimise.clip=0"),
+        ));
+    }
+    Ok(())
 }

@@ -6,15 +6,15 @@ use super::figure_errors::{self, ErrorArguments, Spacings};
 use super::files::{self, CHECKPOINT};
 use super::guard;
 use super::page;
-use super::prepare::{open_device, use_threads};
+use super::prepare::{open_device, use_threads_of};
+use super::ranks::check_flow;
 use super::run_folder::{earlier, is_unfinished, Earlier, RunFolder};
 use super::simulate_report::{report_design, report_flow, Finished};
 use super::{around_bodies, around_in_time, around_shapes, periodic_box};
 use crate::adjoint::run::{run as run_to_the_end, Observer};
 use crate::adjoint::{Dynamics, RunError};
-use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
-use crate::config::scene::{Kernels, Precision};
+use crate::config::scene::Precision;
 use crate::design::shape::TOP;
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
@@ -106,8 +106,7 @@ const HALVINGS: usize = 4;
 pub fn run(mut loaded: Loaded, arguments: SimulateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let resume = arguments.resume.resume.as_deref();
     let folder = arguments.common.folder(resume, KIND, &loaded)?;
-    let threads = loaded.config.run.threads;
-    use_threads(if threads == 0 { ranks.threads().unwrap_or(0) } else { threads });
+    use_threads_of(ranks, loaded.config.run.threads);
     open_device(&loaded)?;
     if arguments.explain.explain {
         return if ranks.rank() == 0 { explain(&loaded, false) } else { Ok(()) };
@@ -163,30 +162,10 @@ pub(super) fn check_shared(loaded: &Loaded, arguments: &SimulateArguments) -> Re
     if let Some((option, _, why, advice)) = options.into_iter().find(|(_, is_given, ..)| *is_given) {
         return Err(BadInput::new(format!("{option} over several ranks: {why}"))
             .place(option)
-            .allowed("without mpirun, or without it")
+            .allowed(format!("a run over several ranks without {option}, or one process"))
             .advice(advice));
     }
-    let (config, alone) = (&loaded.config, "start it without mpirun, with --threads");
-    if !config.method.facts().moves {
-        return Err(loaded.located(
-            BadInput::new(format!(
-                "method.name = {} over several ranks: one matrix of the whole flow is solved",
-                config.method.name()
-            ))
-            .key("method.name")
-            .allowed("methods whose particles move, such as consistent")
-            .advice(alone),
-        ));
-    }
-    if config.run.kernels == Kernels::Composed || config.run.device != DeviceName::Cpu {
-        return Err(loaded.located(
-            BadInput::new("composed kernels over several ranks")
-                .key("run.kernels")
-                .allowed("fused, on the CPU")
-                .advice(alone),
-        ));
-    }
-    Ok(())
+    check_flow(loaded)
 }
 
 /// The state that a run begins with.

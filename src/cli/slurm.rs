@@ -8,7 +8,7 @@ use super::files::CHECKPOINT;
 use super::optimize::OptimizeArguments;
 use super::optimize_starts::{StartName, STARTS};
 use super::run_folder::{holds_results, Earlier, RunFolder, MARKER};
-use super::{files, machine, program, simulate, Cli, Command};
+use super::{files, machine, optimize, program, simulate, Cli, Command};
 use crate::error::{BadInput, Error};
 use crate::io::atomic::write_bytes_atomically;
 use clap::error::ErrorKind;
@@ -60,7 +60,7 @@ pub struct SlurmArguments {
     /// Memory of each job or task [default: the cluster's].
     #[arg(long, value_name = "SIZE", value_parser = memory)]
     pub memory: Option<String>,
-    /// Processes of a training or a simulation that is shared out by MPI.
+    /// Processes of a training, a simulation or a search that is shared out by MPI.
     #[arg(long, value_name = "N", value_parser = at_least_one)]
     pub ranks: Option<usize>,
     /// Another option of sbatch's, e.g. `--option=--qos=long`; may be repeated, and wins over those above.
@@ -232,15 +232,17 @@ pub fn jobs(arguments: &SlurmArguments) -> anyhow::Result<Option<(Job, Option<Jo
     }
     let Shares { mut main, merge, pieces } = shares(&cli, Words { typed, cpus: arguments.cpus, json: cli.json })?;
     main.ranks = arguments.ranks;
-    if let (Some(_), Command::Simulate(own)) = (main.ranks, &cli.command) {
-        simulate::check_shared(&own.load()?, own)?;
-    }
-    if let (Some(ranks), false) = (main.ranks, matches!(cli.command, Command::Train(_) | Command::Simulate(_))) {
-        return Err(BadInput::new(format!("only a training and a simulation have ranks, not {}", line()))
-            .place(format!("--ranks {ranks}"))
-            .allowed("train, simulate")
-            .advice("--tasks for what has shares")
-            .into());
+    match (main.ranks, &cli.command) {
+        (None, _) | (_, Command::Train(_)) => {}
+        (_, Command::Simulate(own)) => simulate::check_shared(&own.load()?, own)?,
+        (_, Command::Optimize(own)) if merge.is_none() => optimize::check_shared(&own.load()?, own)?,
+        (Some(ranks), _) => {
+            return Err(BadInput::new(format!("a job of {} has no ranks", line()))
+                .place(format!("--ranks {ranks}"))
+                .allowed("train, simulate, optimize from one start")
+                .advice("--tasks for what has shares")
+                .into());
+        }
     }
     let bad = |tasks: usize, problem: String, allowed: &str| {
         Err(BadInput::new(problem).place(format!("--tasks {tasks}")).allowed(allowed).into())

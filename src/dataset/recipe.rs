@@ -193,12 +193,9 @@ impl Recipe {
             let allowed = format!("0 (no pairs) ... less than design.bound = {}", config.design.bound);
             return bad("pairs", format!("pairs = {} is out of range", self.pairs), allowed);
         }
-        if self.pairs > 0.0 && matches!(self.walls, Walls::Scene | Walls::File) {
-            return bad(
-                "pairs",
-                "pairs of walls that are given".into(),
-                "walls = mix, report, columns or smooth".into(),
-            );
+        if self.pairs > 0.0 && self.walls == Walls::Scene {
+            let allowed = "walls = mix, report, columns or smooth, or a table of walls";
+            return bad("pairs", "pairs of the scene's own wall".into(), allowed.into());
         }
         if self.pairs > 0.0 && self.trajectories.iter().any(|count| count % 2 != 0) {
             let [train, valid, test] = self.trajectories;
@@ -244,9 +241,10 @@ impl Recipe {
         Split::ALL.into_iter().zip(self.trajectories).flat_map(of).collect()
     }
 
-    /// The wall of a trajectory in the table, if there is one.
+    /// The wall of a trajectory in the table, if there is one. Both of a pair take the same line.
     fn given(&self, job: Job) -> Option<(String, Vec<f64>)> {
-        let line = self.jobs().iter().position(|other| *other == job)? % self.given.len().max(1);
+        let place = self.jobs().iter().position(|other| *other == job)?;
+        let line = if self.pairs > 0.0 { place / 2 } else { place } % self.given.len().max(1);
         Some((format!("line {} of the table", line + 1), self.given.get(line)?.clone()))
     }
 
@@ -278,7 +276,9 @@ impl Recipe {
             if let Some((mut wall, mut offsets)) = drawn.or_else(|| self.given(job)) {
                 if job.index != first {
                     let change = neighbour(number, &mut of(job.index), Section { bound: self.pairs, ..section });
-                    offsets.iter_mut().zip(change).for_each(|(offset, change)| *offset += change);
+                    // A wall of the table may reach the bound.
+                    let moved = |(offset, change): (&mut f64, f64)| *offset = (*offset + change).clamp(-bound, bound);
+                    offsets.iter_mut().zip(change).for_each(moved);
                     wall += ", its neighbour";
                 }
                 settings.push(option("design.offsets", format!("{offsets:?}")));

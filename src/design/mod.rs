@@ -22,6 +22,7 @@ pub mod shape;
 pub mod shapes;
 pub mod sqp;
 pub mod start_shape;
+pub mod team;
 
 pub use deformation::Deformation;
 pub use judge::{Judge, Scheduled};

@@ -4,6 +4,7 @@ use super::deformation::Deformation;
 use super::objectives::{Figure, Outlet};
 use super::parametrisations::Parametrisation;
 use super::shape::Shape;
+use super::team::{Order, Team};
 use crate::adjoint::gradient::{gradient, value, value_of_run, Gradient, Progress};
 use crate::adjoint::schedule::{rounded_up, Costs, Schedule};
 use crate::adjoint::{Objective, RunError};
@@ -12,6 +13,7 @@ use crate::config::scene::{GradientMode, Kernels, Optimise, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::numerics::lanes::Real;
+use crate::numerics::ranks::Ranks;
 use crate::sph::divergence::told;
 use crate::sph::dynamics::Sph;
 use crate::sph::method::Steady;
@@ -45,6 +47,8 @@ pub struct Problem<R> {
     pub is_steady: bool,
     /// Step of central differences by which gradients are computed, if they are not adjoint gradients.
     pub differences: Option<f64>,
+    /// The ranks that share the flow, see [`Problem::shared`].
+    pub team: Option<Team>,
 }
 
 /// A state is steady when no field changes by more than this per time.
@@ -151,6 +155,11 @@ impl<R: Sweeps> Problem<R> {
 
     /// [`Self::evaluate`]. `progress` is called with the completed fraction of the run.
     pub fn evaluate_watched(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<f64> {
+        if let Some(team) = &self.team {
+            team.tell(Order::Value, variables);
+            let (spread, start) = (team.spread(&self.model), self.start(variables));
+            return value_of_run(&spread, &start, self.steps, &*self.objective, progress);
+        }
         let dynamics = Sph::new(self.model.clone(), Kernels::Fused);
         value_of_run(&dynamics, &self.start(variables), self.steps, &*self.objective, progress)
     }
@@ -172,8 +181,11 @@ impl<R: Sweeps> Problem<R> {
             return self.differentiate_by_runs(variables, step, progress);
         }
         let start = self.start(variables);
-        let found = gradient(&self.dynamics(), &start, schedule, &*self.objective, progress)
-            .map_err(|error| told(&error, &self.model, &start))?;
+        let found = match &self.team {
+            Some(team) => self.differentiate_shared(team, variables, schedule, progress),
+            None => gradient(&self.dynamics(), &start, schedule, &*self.objective, progress),
+        };
+        let found = found.map_err(|error| told(&error, &self.model, &start))?;
         let mut state_bar: Vec<R> = found
             .state
             .flatten_all()
@@ -187,6 +199,64 @@ impl<R: Sweeps> Problem<R> {
         let solver_steps = found.plain_steps + (1 + ADJOINT) * found.differentiated_steps;
         let Gradient { value, growth, clipped, .. } = found;
         Ok(Derivative { value, by_variables, solver_steps, growth, clipped, ..Derivative::default() })
+    }
+
+    /// The same problem with its flow shared by the ranks of which this is one. (Where there is one, nothing changes.) The others
+    /// have to [`Self::follow`], until the first one [dismisses](Self::dismiss) them.
+    ///
+    /// # Errors
+    /// [`BadInput`]: a method that they cannot share, or a gradient that is not that of a run.
+    pub fn shared(self, ranks: &Ranks) -> Result<Self, BadInput> {
+        if ranks.size() == 1 {
+            return Ok(self);
+        }
+        if self.is_steady {
+            return Err(BadInput::new("steady gradients over several ranks: one matrix of the whole flow is solved")
+                .key("optimise.gradient")
+                .allowed("segments, of a method whose particles move")
+                .advice("start it without mpirun"));
+        }
+        Ok(Self { team: Some(Team::new(&self.model, ranks)?), ..self })
+    }
+
+    /// Tells the other ranks of a shared problem that this was all.
+    pub fn dismiss(&self) {
+        if let Some(team) = &self.team {
+            team.tell(Order::End, &vec![0.0; self.first.len()]);
+        }
+    }
+
+    /// Takes part in whatever the first rank evaluates, which also reports its errors: all ranks have them.
+    pub fn follow(&self) {
+        let Some(team) = &self.team else { return };
+        loop {
+            let (order, variables) = team.told(self.first.len());
+            let failed = match order {
+                Order::End => return,
+                Order::Value => self.evaluate(&variables).err(),
+                Order::Gradient(schedule) => {
+                    self.differentiate_shared(team, &variables, &schedule, &mut |_| ()).err().map(Into::into)
+                }
+            };
+            if let Some(error) = failed {
+                log::info!("the evaluation failed here, too: {error}");
+            }
+        }
+    }
+
+    /// The derivative by the initial state, by all ranks.
+    fn differentiate_shared(
+        &self,
+        team: &Team,
+        variables: &[f64],
+        schedule: &Schedule,
+        progress: Progress<'_>,
+    ) -> Result<Gradient, RunError> {
+        team.tell(Order::Gradient(*schedule), variables);
+        let (spread, start) = (team.spread(&self.model), self.start(variables));
+        let mut found = gradient(&spread, &start, schedule, &*self.objective, progress)?;
+        found.state = spread.whole(&start, &found.state).map_err(RunError::tensor(0))?;
+        Ok(found)
     }
 
     /// [`Self::differentiate`] by central differences of runs, one-sided at a limit. Over a long time two runs from

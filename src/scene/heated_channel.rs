@@ -124,6 +124,7 @@ pub(super) fn problem<R: Sweeps>(
         window,
         is_steady: gradient == GradientMode::Steady,
         differences: (gradient == GradientMode::Differences).then_some(config.optimise.difference),
+        team: None,
     })
 }
 

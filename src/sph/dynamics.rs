@@ -24,7 +24,7 @@ pub struct Sph<R> {
     pub compute: Compute,
     /// Sees each step on the graph.
     pub tap: Option<Arc<Tap<R>>>,
-    tags: Arc<Vec<u8>>,
+    pub(super) tags: Arc<Vec<u8>>,
 }
 
 /// Maps the state after a step to the same state, through an operator of its own on the graph. It is given the tape

@@ -27,6 +27,7 @@ pub mod relief;
 pub mod rows;
 pub mod solver;
 pub mod spread;
+pub mod spread_gradient;
 pub mod standard;
 pub mod sweeps;
 

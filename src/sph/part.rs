@@ -37,7 +37,33 @@ impl Part {
         self.exchange(field, field.len() / n.max(1), |row, i| row * n + i);
     }
 
-    /// The same for `count` numbers of each particle; `at` is where number k of particle i stands.
+    /// Adds the values of copies in a field `[rows, n]` to those of their owners, and sets them to 0: the adjoint of
+    /// [`Self::refresh`], for sums that give something to particles of other ranks.
+    pub fn give_back<R: Real>(&self, field: &mut [R]) {
+        let n = self.own.len();
+        let rows = field.len() / n.max(1);
+        let each = |of: &'_ [u32]| -> Vec<usize> {
+            (0..rows).flat_map(|row| of.iter().map(move |&i| row * n + i as usize)).collect()
+        };
+        let mut to = Vec::with_capacity(self.copies.len());
+        for (rank, of) in &self.copies {
+            let take = |at: usize| std::mem::take(&mut field[at]).f64();
+            to.push((*rank, each(of).into_iter().map(take).collect::<Vec<f64>>()));
+        }
+        let from: Vec<(usize, usize)> = self.lent.iter().map(|(rank, of)| (*rank, rows * of.len())).collect();
+        self.count(&to);
+        for ((_, of), found) in self.lent.iter().zip(self.ranks.swap(&to, &from)) {
+            each(of).into_iter().zip(found).for_each(|(at, value)| field[at] += R::of(value));
+        }
+    }
+
+    fn count(&self, to: &[(usize, Vec<f64>)]) {
+        let sent: usize = to.iter().map(|(_, numbers)| numbers.len()).sum();
+        self.traffic.messages.fetch_add(to.len() as u64, Ordering::Relaxed);
+        self.traffic.bytes.fetch_add(8 * sent as u64, Ordering::Relaxed);
+    }
+
+    /// [`Self::refresh`] for `count` numbers of each particle; `at` is where number k of particle i stands.
     pub fn exchange<R: Real>(&self, numbers: &mut [R], count: usize, at: impl Fn(usize, usize) -> usize) {
         let each = |of: &'_ [u32]| -> Vec<usize> {
             (0..count).flat_map(|k| of.iter().map(move |&i| (k, i as usize))).map(|(k, i)| at(k, i)).collect()
@@ -45,9 +71,7 @@ impl Part {
         let packed = |of: &[u32]| each(of).into_iter().map(|at| numbers[at].f64()).collect();
         let to: Vec<(usize, Vec<f64>)> = self.lent.iter().map(|(rank, of)| (*rank, packed(of))).collect();
         let from: Vec<(usize, usize)> = self.copies.iter().map(|(rank, of)| (*rank, count * of.len())).collect();
-        let sent: usize = to.iter().map(|(_, numbers)| numbers.len()).sum();
-        self.traffic.messages.fetch_add(to.len() as u64, Ordering::Relaxed);
-        self.traffic.bytes.fetch_add(8 * sent as u64, Ordering::Relaxed);
+        self.count(&to);
         for ((_, of), found) in self.copies.iter().zip(self.ranks.swap(&to, &from)) {
             each(of).into_iter().zip(found).for_each(|(at, value)| numbers[at] = R::of(value));
         }

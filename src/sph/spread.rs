@@ -14,6 +14,7 @@
 use super::dynamics::Sph;
 use super::flow::picked;
 use super::method::{Model, Sharing};
+use super::pace::Pace;
 use super::part::{Part, Traffic};
 use super::solver::{Snapshot, Solver};
 use super::sweeps::Sweeps;
@@ -81,18 +82,43 @@ impl fmt::Display for Shares {
     }
 }
 
-/// A rank's share of a run.
-struct Share<R> {
-    ranks: Ranks,
-    whole: Model<R>,
+/// What a flow is shared out by.
+#[derive(Debug, Clone)]
+pub(super) struct Terms<R> {
+    pub ranks: Ranks,
+    pub whole: Model<R>,
     /// See [`Sharing::only`] and [`reach`].
     only: Option<usize>,
     reach: f64,
+    traffic: Arc<Traffic>,
+}
+
+/// The particles that a rank has between two hand-overs.
+#[derive(Debug)]
+pub(super) struct Seat<R> {
     decomposition: Decomposition,
     /// Number in the whole flow of each particle here, ascending.
-    numbers: Vec<u32>,
-    solver: Solver<R>,
-    traffic: Arc<Traffic>,
+    pub numbers: Vec<u32>,
+    /// The flow of these particles.
+    pub model: Model<R>,
+}
+
+/// What a rank has after particles were handed over.
+pub(super) struct Dealt<R> {
+    pub seat: Arc<Seat<R>>,
+    /// The rank that each particle here came from.
+    pub came_from: Vec<usize>,
+    pub state: Vec<R>,
+    pub reference: Vec<R>,
+    /// Whether the box was cut anew.
+    is_cut: bool,
+}
+
+/// A rank's share of a run.
+pub struct Share<R> {
+    pub(super) terms: Arc<Terms<R>>,
+    pub(super) seat: Arc<Seat<R>>,
+    pub(super) solver: Solver<R>,
     handed_over: usize,
     cut: usize,
     /// The step at which the run began.
@@ -107,9 +133,7 @@ pub fn sharing<R: Sweeps>(model: &Model<R>, ranks: &Ranks) -> Result<Sharing, Ba
     let name = model.name();
     let Some(sharing) = model.sharing() else {
         return Err(BadInput::new(format!("method.name = {name} with these keys is not computed by several ranks"))
-            .allowed(
-                "consistent, or standard with flux = pair, density_renormalisation = false and wall.slip = no-slip",
-            )
+            .allowed("consistent, or standard with laws that are fused, see its page")
             .advice("start it without mpirun"));
     };
     let (n, least) = (model.particles(), 100 * ranks.size());
@@ -137,44 +161,153 @@ fn bounds<R: Sweeps>(positions: &[R], dimension: usize) -> [[f64; 2]; 3] {
     bounds
 }
 
-impl<R: Sweeps> Share<R> {
-    /// The share of the whole flow, which every rank has.
-    fn new(whole: Model<R>, start: &Snapshot<R>, sharing: Sharing, ranks: &Ranks) -> Result<Self, RunError> {
-        let (n, d) = (whole.particles(), whole.dimension());
-        let reference = &start.reference;
+impl<R: 'static> Seat<R> {
+    fn part(&self) -> &Part {
+        self.model.part.as_deref().expect("the flow of a rank is a part")
+    }
+
+    /// Own particles, by their place here.
+    pub fn own(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.numbers.len()).filter(|&i| self.part().own[i])
+    }
+}
+
+impl<R: Sweeps> Terms<R> {
+    pub fn new(whole: Model<R>, sharing: Sharing, ranks: &Ranks) -> Self {
+        let reach = reach(&whole, sharing);
+        Self { ranks: ranks.clone(), whole, only: sharing.only, reach, traffic: Arc::default() }
+    }
+
+    /// The particles of this rank in the whole flow, which every rank has.
+    pub fn first(&self, reference: &[R]) -> Arc<Seat<R>> {
+        let (n, d) = (self.whole.particles(), self.whole.dimension());
         let bounds = bounds(reference, d);
         let alone = |numbers: &[f64]| numbers.to_vec();
-        let decomposition = Decomposition::new(&whole.domain, bounds, ranks.size(), sharing.only, reference, &alone);
-        let reach = reach(&whole, sharing);
-        let near = |&i: &u32| decomposition.is_near(ranks.rank(), place(reference, n, i as usize), reach);
+        let (domain, ranks) = (&self.whole.domain, &self.ranks);
+        let decomposition = Decomposition::new(domain, bounds, ranks.size(), self.only, reference, &alone);
+        let near = |&i: &u32| decomposition.is_near(ranks.rank(), place(reference, n, i as usize), self.reach);
         let numbers: Vec<u32> = (0..n as u32).filter(near).collect();
-        let of = |rows: &[R]| rows.chunks_exact(n).flat_map(|row| picked(row, &numbers)).collect();
-        let at = Snapshot { state: of(&start.state), reference: Arc::new(of(reference)), ..*start };
-        let traffic = Arc::default();
-        let solver = seated(&whole, reach, &decomposition, ranks, &traffic, &numbers, &at)?;
-        let (ranks, only) = (ranks.clone(), sharing.only);
-        let (handed_over, cut, began) = (0, 1, start.step);
-        Ok(Self { ranks, whole, only, reach, decomposition, numbers, solver, traffic, handed_over, cut, began })
+        let reference: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &numbers)).collect();
+        self.seat(decomposition, numbers, &reference)
     }
 
-    fn part(&self) -> &Part {
-        self.solver.model.part.as_deref().expect("a share's model is a part")
+    /// Own particles and copies of this rank, whose list is built from `reference`.
+    fn seat(&self, decomposition: Decomposition, numbers: Vec<u32>, reference: &[R]) -> Arc<Seat<R>> {
+        let (n, here, size) = (numbers.len(), self.ranks.rank(), self.ranks.size());
+        let places: Vec<[f64; 3]> = (0..n).map(|i| place(reference, n, i)).collect();
+        let owners: Vec<usize> = places.iter().map(|&place| decomposition.owner(place)).collect();
+        let others = || (0..size).filter(|&rank| rank != here);
+        let chosen = |is: &dyn Fn(usize) -> bool| (0..n as u32).filter(|&i| is(i as usize)).collect::<Vec<u32>>();
+        let is_lent = |rank, i: usize| owners[i] == here && decomposition.is_near(rank, places[i], self.reach);
+        let lent = |rank| (rank, chosen(&|i| is_lent(rank, i)));
+        let copies = |rank| (rank, chosen(&|i| owners[i] == rank));
+        let part = Part {
+            ranks: self.ranks.clone(),
+            lent: others().map(lent).filter(|(_, of)| !of.is_empty()).collect(),
+            copies: others().map(copies).filter(|(_, of)| !of.is_empty()).collect(),
+            own: owners.iter().map(|&owner| owner == here).collect(),
+            has_walls: self.whole.has_walls(),
+            traffic: self.traffic.clone(),
+        };
+        let model = self.whole.of(&numbers, Arc::new(part)).expect("a model that can be shared out");
+        Arc::new(Seat { decomposition, numbers, model })
     }
 
-    fn own(&self) -> Vec<usize> {
-        (0..self.numbers.len()).filter(|&i| self.part().own[i]).collect()
+    /// The record of a particle, which another rank reads.
+    fn record(&self, seat: &Seat<R>, state: &[R], reference: &[R], i: usize, to: &mut Vec<f64>) {
+        let n = seat.numbers.len();
+        to.push(f64::from(seat.numbers[i]));
+        to.extend(state.iter().skip(i).step_by(n).map(|x| x.f64()));
+        to.extend(reference.iter().skip(i).step_by(n).map(|x| x.f64()));
+    }
+
+    /// A field `[rows, N]` of the whole flow, on every rank, from its values `[rows, n]` of own particles.
+    pub fn gathered(&self, seat: &Seat<R>, field: &[R]) -> Vec<R> {
+        let (n, all) = (seat.numbers.len(), self.whole.particles());
+        let rows = field.len() / n;
+        let mut own = Vec::new();
+        for i in seat.own() {
+            own.push(f64::from(seat.numbers[i]));
+            own.extend((0..rows).map(|row| field[row * n + i].f64()));
+        }
+        let mut whole = vec![R::default(); rows * all];
+        for record in self.ranks.deal(vec![own; self.ranks.size()]).iter().flat_map(|of| of.chunks_exact(1 + rows)) {
+            (0..rows).for_each(|row| whole[row * all + record[0] as usize] = R::of(record[1 + row]));
+        }
+        whole
+    }
+
+    /// Numbers of a record.
+    fn width(&self) -> usize {
+        1 + self.whole.rows.count() + self.whole.dimension()
+    }
+
+    /// Gives every particle to the rank in whose block it is, and copies of it to those near it. `reference` has the positions
+    /// of the new neighbour list.
+    pub fn hand_over(&self, seat: &Seat<R>, state: &[R], reference: &[R]) -> Dealt<R> {
+        let (n, ranks) = (seat.numbers.len(), &self.ranks);
+        let own: Vec<usize> = seat.own().collect();
+        let counts = ranks.all(&[own.len() as f64]);
+        let mean = counts.iter().sum::<f64>() / counts.len() as f64;
+        let is_cut = counts.iter().any(|&count| count > UNEVEN * mean);
+        let decomposition = if is_cut {
+            let chosen: Vec<u32> = own.iter().map(|&i| i as u32).collect();
+            let positions: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &chosen)).collect();
+            let d = self.whole.dimension();
+            let ends = bounds(&positions, d).map(|[low, high]| [-ranks.most(-low), ranks.most(high)]);
+            let sum = |numbers: &[f64]| ranks.sum(numbers);
+            Decomposition::new(&self.whole.domain, ends, ranks.size(), self.only, &positions, &sum)
+        } else {
+            seat.decomposition.clone()
+        };
+        let mut to = vec![Vec::new(); ranks.size()];
+        for &i in &own {
+            let place = place(reference, n, i);
+            for (rank, to) in to.iter_mut().enumerate() {
+                if decomposition.is_near(rank, place, self.reach) {
+                    self.record(seat, state, reference, i, to);
+                }
+            }
+        }
+        let (found, width) = (ranks.deal(to), self.width());
+        let mut records: Vec<(usize, &[f64])> = Vec::new();
+        for (from, found) in found.iter().enumerate() {
+            records.extend(found.chunks_exact(width).map(|record| (from, record)));
+        }
+        records.sort_unstable_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
+        let rows = |from: usize, to: usize| -> Vec<R> {
+            (from..to).flat_map(|row| records.iter().map(move |(_, record)| R::of(record[row]))).collect()
+        };
+        let state_end = 1 + self.whole.rows.count();
+        let numbers: Vec<u32> = records.iter().map(|(_, record)| record[0] as u32).collect();
+        let (state, reference) = (rows(1, state_end), rows(state_end, width));
+        let came_from = records.iter().map(|(from, _)| *from).collect();
+        let seat = self.seat(decomposition, numbers, &reference);
+        Dealt { seat, came_from, state, reference, is_cut }
+    }
+}
+
+impl<R: Sweeps> Share<R> {
+    /// The share of the whole flow, which every rank has.
+    pub(super) fn new(terms: Arc<Terms<R>>, start: &Snapshot<R>) -> Result<Self, RunError> {
+        let n = terms.whole.particles();
+        let seat = terms.first(&start.reference);
+        let of = |rows: &[R]| rows.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
+        let at = Snapshot { state: of(&start.state), reference: Arc::new(of(&start.reference)), ..*start };
+        let solver = Solver::restore(seat.model.clone(), &at)?;
+        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step })
     }
 
     /// What the first rank wants before the next step, and in how many parts that is made.
     fn agree(&self, wanted: f64) -> (f64, usize) {
         let parts = self.solver.model.parts(&self.solver.state).max(self.solver.least_parts);
-        let all = self.ranks.all(&[wanted, parts as f64]);
+        let all = self.terms.ranks.all(&[wanted, parts as f64]);
         let most = all.chunks_exact(2).map(|of| of[1]).fold(1.0, f64::max);
         (all[0], most as usize)
     }
 
     /// Makes a step. All ranks fail in the same one, with the state as it was.
-    fn advance(&mut self, parts: usize) -> Result<(), RunError> {
+    pub(super) fn advance(&mut self, parts: usize) -> Result<(), RunError> {
         for part in 0..parts {
             let list = self.solver.neighbourhood.identity;
             self.solver.make_part(part, parts)?;
@@ -187,79 +320,50 @@ impl<R: Sweeps> Share<R> {
         Ok(())
     }
 
-    /// The record of a particle here, which another rank reads.
-    fn record(&self, i: usize, to: &mut Vec<f64>) {
-        let n = self.numbers.len();
-        to.push(f64::from(self.numbers[i]));
-        to.extend(self.solver.state.iter().skip(i).step_by(n).map(|x| x.f64()));
-        to.extend(self.solver.neighbourhood.reference.iter().skip(i).step_by(n).map(|x| x.f64()));
-    }
-
-    /// Numbers of a record.
-    fn width(&self) -> usize {
-        1 + self.whole.rows.count() + self.whole.dimension()
-    }
-
-    /// Gives every particle to the rank in whose block it is, and copies of it to those near it.
     fn hand_over(&mut self) -> Result<(), RunError> {
-        let own = self.own();
-        let counts = self.ranks.all(&[own.len() as f64]);
-        let mean = counts.iter().sum::<f64>() / counts.len() as f64;
-        let reference = self.solver.neighbourhood.reference.clone();
-        let n = self.numbers.len();
-        if counts.iter().any(|&count| count > UNEVEN * mean) {
-            let chosen: Vec<u32> = own.iter().map(|&i| i as u32).collect();
-            let positions: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &chosen)).collect();
-            let d = self.whole.dimension();
-            let ends = bounds(&positions, d).map(|[low, high]| [-self.ranks.most(-low), self.ranks.most(high)]);
-            let sum = |numbers: &[f64]| self.ranks.sum(numbers);
-            let (domain, size) = (&self.whole.domain, self.ranks.size());
-            self.decomposition = Decomposition::new(domain, ends, size, self.only, &positions, &sum);
-            self.cut += 1;
-        }
-        let mut to = vec![Vec::new(); self.ranks.size()];
-        for &i in &own {
-            let place = place(&reference, n, i);
-            for (rank, to) in to.iter_mut().enumerate() {
-                if self.decomposition.is_near(rank, place, self.reach) {
-                    self.record(i, to);
-                }
-            }
-        }
-        let found = self.ranks.deal(to).concat();
-        let mut records: Vec<&[f64]> = found.chunks_exact(self.width()).collect();
-        records.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
-        let rows = |from: usize, to: usize| -> Vec<R> {
-            (from..to).flat_map(|row| records.iter().map(move |record| R::of(record[row]))).collect()
-        };
-        let state_end = 1 + self.whole.rows.count();
-        let numbers: Vec<u32> = records.iter().map(|record| record[0] as u32).collect();
         let old = &self.solver;
+        let dealt = self.terms.hand_over(&self.seat, &old.state, &old.neighbourhood.reference);
         let at = Snapshot {
             step: old.step,
             parts: old.pace.parts,
             least_parts: old.least_parts,
-            state: rows(1, state_end),
-            reference: Arc::new(rows(state_end, self.width())),
+            state: dealt.state,
+            reference: Arc::new(dealt.reference),
         };
-        let Self { ranks, whole, decomposition, traffic, .. } = &*self;
-        let mut solver = seated(whole, self.reach, decomposition, ranks, traffic, &numbers, &at)?;
+        let mut solver = Solver::restore(dealt.seat.model.clone(), &at)?;
         (solver.pace, solver.divided, solver.drove) = (old.pace, old.divided, Some(old.driving_force()));
-        (self.solver, self.numbers) = (solver, numbers);
+        (self.solver, self.seat) = (solver, dealt.seat);
         self.handed_over += 1;
+        self.cut += usize::from(dealt.is_cut);
+        Ok(())
+    }
+
+    /// Goes back to a state that this rank had.
+    pub(super) fn go_back(&mut self, seat: &Arc<Seat<R>>, at: &Snapshot<R>) -> Result<(), RunError> {
+        self.seat = seat.clone();
+        match Arc::ptr_eq(&self.solver.neighbourhood.reference, &at.reference) {
+            true => {
+                self.solver.state.clone_from(&at.state);
+                self.solver.step = at.step;
+                self.solver.pace = Pace::after(at.parts);
+            }
+            false => self.solver = Solver::restore(seat.model.clone(), at)?,
+        }
         Ok(())
     }
 
     /// Brings the whole flow up to date, which the first rank has.
     fn show(&self, whole: Option<&mut Solver<R>>) {
-        let mut to = vec![Vec::new(); self.ranks.size()];
-        self.own().into_iter().for_each(|i| self.record(i, &mut to[0]));
-        let found = self.ranks.deal(to);
+        let (terms, own) = (&self.terms, &self.solver);
+        let mut to = vec![Vec::new(); terms.ranks.size()];
+        let reference = &own.neighbourhood.reference;
+        self.seat.own().for_each(|i| terms.record(&self.seat, &own.state, reference, i, &mut to[0]));
+        let found = terms.ranks.deal(to);
         let Some(whole) = whole else { return };
         let n = whole.model.particles();
-        let rows = self.whole.rows.count();
-        let mut reference = vec![R::default(); self.whole.dimension() * n];
-        for record in found.iter().flat_map(|of| of.chunks_exact(self.width())) {
+        let rows = terms.whole.rows.count();
+        let mut reference = vec![R::default(); terms.whole.dimension() * n];
+        for record in found.iter().flat_map(|of| of.chunks_exact(terms.width())) {
             let i = record[0] as usize;
             for (row, &value) in record[1..].iter().enumerate() {
                 match row < rows {
@@ -268,7 +372,6 @@ impl<R: Sweeps> Share<R> {
                 }
             }
         }
-        let own = &self.solver;
         (whole.step, whole.pace, whole.least_parts) = (own.step, own.pace, own.least_parts);
         (whole.divided, whole.drove) = (own.divided, Some(own.driving_force()));
         if *whole.neighbourhood.reference != reference {
@@ -277,15 +380,16 @@ impl<R: Sweeps> Share<R> {
     }
 
     fn shares(&self) -> Shares {
-        let (own, steps) = (self.own().len(), (self.solver.step - self.began).max(1) as f64);
-        let sent = [&self.traffic.messages, &self.traffic.bytes].map(|of| of.load(Ordering::Relaxed) as f64 / steps);
+        let (own, steps) = (self.seat.own().count(), (self.solver.step - self.began).max(1) as f64);
+        let Terms { ranks, traffic, .. } = &*self.terms;
+        let sent = [&traffic.messages, &traffic.bytes].map(|of| of.load(Ordering::Relaxed) as f64 / steps);
         let taken = peak_memory_bytes() as f64;
-        let copies = self.numbers.len() - own;
-        let all = self.ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken]);
+        let copies = self.seat.numbers.len() - own;
+        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken]);
         let each = |k: usize| all.iter().skip(k).step_by(5).copied();
-        let mean = |k: usize| each(k).sum::<f64>() / self.ranks.size() as f64;
+        let mean = |k: usize| each(k).sum::<f64>() / ranks.size() as f64;
         Shares {
-            ranks: self.ranks.size(),
+            ranks: ranks.size(),
             fewest_particles: each(0).fold(f64::INFINITY, f64::min) as usize,
             most_particles: each(0).fold(0.0, f64::max) as usize,
             mean_copies: mean(1),
@@ -306,35 +410,6 @@ fn reach<R: Sweeps>(whole: &Model<R>, sharing: Sharing) -> f64 {
     sharing.reaches as f64 * reach.distance() + reach.skin + reach.cutoff / 6.0
 }
 
-/// A solver of the particles that a rank has, own ones and copies, at their snapshot.
-fn seated<R: Sweeps>(
-    whole: &Model<R>,
-    reach: f64,
-    decomposition: &Decomposition,
-    ranks: &Ranks,
-    traffic: &Arc<Traffic>,
-    numbers: &[u32],
-    at: &Snapshot<R>,
-) -> Result<Solver<R>, RunError> {
-    let (n, here) = (numbers.len(), ranks.rank());
-    let places: Vec<[f64; 3]> = (0..n).map(|i| place(&at.reference, n, i)).collect();
-    let owners: Vec<usize> = places.iter().map(|&place| decomposition.owner(place)).collect();
-    let others = || (0..ranks.size()).filter(|&rank| rank != here);
-    let chosen = |is: &dyn Fn(usize) -> bool| (0..n as u32).filter(|&i| is(i as usize)).collect::<Vec<u32>>();
-    let lent = |rank| (rank, chosen(&|i| owners[i] == here && decomposition.is_near(rank, places[i], reach)));
-    let copies = |rank| (rank, chosen(&|i| owners[i] == rank));
-    let part = Part {
-        ranks: ranks.clone(),
-        lent: others().map(lent).filter(|(_, of)| !of.is_empty()).collect(),
-        copies: others().map(copies).filter(|(_, of)| !of.is_empty()).collect(),
-        own: owners.iter().map(|&owner| owner == here).collect(),
-        has_walls: whole.has_walls(),
-        traffic: traffic.clone(),
-    };
-    let model = whole.of(numbers, Arc::new(part)).expect("a model that can be shared out");
-    Solver::restore(model, at)
-}
-
 /// [`crate::adjoint::run::run`] on the first of several ranks; the others [`follow`].
 ///
 /// # Errors
@@ -347,7 +422,7 @@ pub fn lead<R: Sweeps>(
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<(Solver<R>, Shares)> {
     let mut whole = dynamics.start(start)?;
-    let mut share = Share::new(dynamics.model.clone(), start, sharing, ranks)?;
+    let mut share = Share::new(Arc::new(Terms::new(dynamics.model.clone(), sharing, ranks)), start)?;
     loop {
         let stop = interrupt::check();
         let step = share.solver.step;
@@ -392,7 +467,7 @@ pub fn follow<R: Sweeps>(
     start: Snapshot<R>,
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<()> {
-    let mut share = Share::new(model, &start, sharing, ranks)?;
+    let mut share = Share::new(Arc::new(Terms::new(model, sharing, ranks)), &start)?;
     drop(start);
     loop {
         let (wanted, parts) = share.agree(GO_ON);

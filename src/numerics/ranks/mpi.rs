@@ -25,10 +25,13 @@ impl World {
                 .allowed("processes that were all started by the mpirun of the MPI that hydrograd was built with")
                 .advice("mpirun -n 2 hydrograd ..., or Slurm's srun with a plugin for it")
         };
-        // Only the thread that began speaks to MPI; worker threads do not.
-        let Some((universe, _)) = ::mpi::initialize_with_threading(Threading::Funneled) else {
+        // One thread at a time speaks to MPI: the first one, or the thread of a gradient, for which that one waits.
+        let Some((universe, given)) = ::mpi::initialize_with_threading(Threading::Serialized) else {
             return Err(failed("MPI has begun already".into()));
         };
+        if given < Threading::Serialized {
+            return Err(failed("this MPI speaks to the thread that began only".into()));
+        }
         let communicator = universe.world();
         if usize::try_from(communicator.size()) != Ok(several) {
             let found = communicator.size();
@@ -120,11 +123,11 @@ pub struct Exchange {
     request: ffi::MPI_Request,
 }
 
-// SAFETY: only the one thread that began speaks to MPI; that candle's graph could be moved to another one is never used.
+// SAFETY: one thread at a time speaks to MPI (`Threading::Serialized`): the first one, or a gradient's, for which it waits.
 unsafe impl Send for World {}
 // SAFETY: as above.
 unsafe impl Sync for World {}
-// SAFETY: it is handed from hand to hand on the one thread that speaks to MPI; only candle's graph wants it to be able to move.
+// SAFETY: only the thread that speaks to MPI has it; candle's graph wants it to be able to move.
 unsafe impl Send for Exchange {}
 
 impl Exchange {

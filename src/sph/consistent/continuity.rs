@@ -276,7 +276,8 @@ pub fn backward<R: Real>(
     let fluid = &geometry.blocks.fluid;
     let buffers = &model.scratch.buffers;
     let mean = fluid.each().fold(0.0, |sum, (_, i)| sum + pressure_bar[i].f64());
-    let mean = R::of(mean / fluid.places.max(1) as f64);
+    let [mean, count] = model.over_ranks([mean, fluid.places as f64]);
+    let mean = R::of(mean / count.max(1.0));
     let (scale, dt) = (R::of(1.0 / fits.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
     let mut bar = buffers.buffer(fluid.blocks() * width::<R>());
@@ -297,6 +298,8 @@ pub fn backward<R: Real>(
     }
     let mut records = buffers.buffer(stride(record_fields(d)) * n);
     pack(geometry, known, derivatives, Some(&bar), &mut records);
+    // V, grad p and D_bar.
+    model.refresh_records(&mut records, stride(record_fields(d)), d + 1, d + 2);
     let mut sums = buffers.buffer((2 + 2 * d) * fluid.blocks() * width::<R>());
     with_dimension!(d, |D| {
         let mut pass = Pass::<R, D, { stride(record_fields(D)) / 4 }> {

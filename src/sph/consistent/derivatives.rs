@@ -546,6 +546,7 @@ pub fn backward<R: Real>(
                 records: OfParticles::new(&mut bars),
             };
             run_rows(&solving, blocks);
+            geometry.model.refresh_records(&mut bars, 4 * $b, 0, bar_fields($d, $n));
             let mut backward = Backward::<R, $d, $q, $n, $g, $b> {
                 geometry: *geometry,
                 records: Records::new(records, 4 * $g, n),

@@ -56,7 +56,9 @@ pub fn backward<R: Real>(
     let (model, n, l) = (geometry.model, geometry.model.particles(), geometry.model.layout);
     let at = l.velocity() * n;
     let found = found(geometry, masses, &before[at..]);
-    let kick_bar: f64 = fluid(model).map(|i| bar[at + i].f64() + geometry.times.now * bar[i].f64()).sum();
+    let own = fluid(model).filter(|&i| model.is_own(i));
+    let kick_bar: f64 = own.map(|i| bar[at + i].f64() + geometry.times.now * bar[i].f64()).sum();
+    let [kick_bar] = model.over_ranks([kick_bar]);
     let (by_momentum, by_mass) = (R::of(kick_bar * found.by_momentum), R::of(kick_bar * found.by_mass));
     for i in fluid(model) {
         bar[at + i] += masses[i] * by_momentum;

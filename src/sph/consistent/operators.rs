@@ -89,6 +89,7 @@ impl<R: Sweeps> Operator<1> for WallValues<R> {
     fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let mut known = state.to_vec();
         self::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
+        refresh_known(&self.0.geometry(), &mut known);
         Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
@@ -142,6 +143,7 @@ impl<R: Sweeps> Operator<2> for WallPressure<R> {
     fn forward(&self, [known, pressure]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
         let mut filled = pressure.to_vec();
         R::fill(&self.0.geometry(), known, &mut filled, &mut self.0.kept(), false);
+        self.0.model.refresh_walls(&mut filled);
         Ok((filled, shapes[1].clone()))
     }
 
@@ -350,8 +352,7 @@ impl<R: Sweeps> Buffers<R> {
         self.known.clear();
         self.known.extend_from_slice(state);
         known(geometry, &mut self.kept, &mut self.known);
-        let (n, l) = (geometry.model.particles(), geometry.model.layout);
-        geometry.model.refresh_walls(&mut self.known[l.pressure() * n..l.last_rates() * n]);
+        refresh_known(geometry, &mut self.known);
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
     }
 
@@ -377,6 +378,12 @@ fn known<R: Sweeps>(geometry: &Geometry<'_, R>, kept: &mut Kept<R>, known: &mut 
     // Positions and mirror images are read while values are written.
     let (places, fields) = known[..l.last_rates() * n].split_at_mut(l.pressure() * n);
     R::fill(geometry, places, fields, kept, true);
+}
+
+/// What [`known`] has filled in, of dummy particles that other ranks own.
+fn refresh_known<R: Sweeps>(geometry: &Geometry<'_, R>, known: &mut [R]) {
+    let (n, l) = (geometry.model.particles(), geometry.model.layout);
+    geometry.model.refresh_walls(&mut known[l.pressure() * n..l.last_rates() * n]);
 }
 
 /// The adjoint of [`known`], in place: maps the cotangent of `known` to that of the state.

@@ -201,6 +201,21 @@ pub fn backward<R: Real>(
     derivatives_bar: &mut [R],
     known_bar: &mut [R],
 ) {
+    let Some(part) = &geometry.model.part else { return add_back(geometry, known, kept, derivatives_bar, known_bar) };
+    // What particles give to the positions of others, which other ranks may own.
+    let mut given = vec![R::default(); known_bar.len()];
+    add_back(geometry, known, kept, derivatives_bar, &mut given);
+    part.give_back(&mut given[..geometry.model.layout.dimension * geometry.model.particles()]);
+    known_bar.iter_mut().zip(&given).for_each(|(to, given)| *to += *given);
+}
+
+fn add_back<R: Real>(
+    geometry: &Geometry<'_, R>,
+    known: &[R],
+    kept: &mut Kept<R>,
+    derivatives_bar: &mut [R],
+    known_bar: &mut [R],
+) {
     let (model, fits) = (geometry.model, &geometry.model.fits);
     let (n, l, d, fluid) = (model.particles(), model.layout, model.layout.dimension, &geometry.blocks.fluid);
     let row = |place: usize, k: usize| at::<R>(l, place, k);

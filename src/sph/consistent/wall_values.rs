@@ -281,6 +281,8 @@ pub fn backward<R: Real>(
     let (count, blocks) = (fields.len() / n, geometry.blocks.surface.blocks());
     let buffers = &geometry.model.scratch.buffers;
     let unknowns = d + 1;
+    // Dummy particles of other ranks belong to points of this one.
+    geometry.model.refresh(fields_bar);
     let coefficients = if all { &kept.wall_coefficients } else { &kept.pressure_coefficients };
     let mut bar = buffers.buffer(coefficients.len());
     bar.fill(R::default());
@@ -315,6 +317,7 @@ pub fn backward<R: Real>(
                 records: OfParticles::new(&mut bars),
             };
             run_rows(&solving, blocks);
+            geometry.model.refresh_records(&mut bars, 4 * $b, 0, 2 * $n * $k);
             let mut backward = Backward::<R, $d, $k, $n, $g, $b> {
                 geometry: *geometry,
                 records: Records::new(&records, 4 * $g, n),

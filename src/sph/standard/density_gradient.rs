@@ -92,14 +92,17 @@ pub fn forward<R: Real>(
     of_term: &mut [R],
     mut inverse: Option<&mut [R]>,
 ) {
-    let n = step.model.particles();
-    let (records, density) = (Records::new(records, WIDTH, n), Records::new(density, 1, n));
-    let (of_term, inverse) = (Own::new(of_term), inverse.as_mut());
-    let inverse = inverse.map(|inverse| Own::new(inverse));
-    with_dimension!(step.model.layout.dimension, |D| run_rows(
-        &Forward::<R, D> { step, records, density, of_term, inverse },
-        step.list.fluid_rows.len(),
-    ));
+    let (n, d) = (step.model.particles(), step.model.layout.dimension);
+    {
+        let (records, density) = (Records::new(records, WIDTH, n), Records::new(density, 1, n));
+        let (of_term, inverse) = (Own::new(&mut *of_term), inverse.as_mut());
+        let inverse = inverse.map(|inverse| Own::new(inverse));
+        with_dimension!(d, |D| run_rows(
+            &Forward::<R, D> { step, records, density, of_term, inverse },
+            step.list.fluid_rows.len(),
+        ));
+    }
+    step.model.refresh_records(of_term, TERM_WIDTH, 1, d);
 }
 
 struct Backward<'a, R, const D: usize> {
@@ -174,12 +177,13 @@ pub fn backward<R: Real>(
     moved_bar: &mut [R],
 ) {
     let (model, n, d) = (&*step.model, step.model.particles(), step.model.layout.dimension);
-    let solved = packed(model, TERM_WIDTH, |i, solved| {
+    let mut solved = packed(model, TERM_WIDTH, |i, solved| {
         solved.fill(R::default());
         for a in 0..if model.is_fluid(i) { d } else { 0 } {
             solved[1 + a] = (0..d).map(|b| inverse[i * SQUARE + 3 * a + b] * bar[i * TERM_WIDTH + 1 + b]).sum();
         }
     });
+    model.refresh_records(&mut solved, TERM_WIDTH, 1, d);
     let (records, of_term) = (Records::new(records, WIDTH, n), Records::new(of_term, TERM_WIDTH, n));
     let (solved, mass) = (Records::new(&solved, TERM_WIDTH, n), Masses::new(model, moved));
     let moved_bar = Own::new(moved_bar);

@@ -220,12 +220,17 @@ fn evolve<R: Real>(step: &Step<R>, dt: f64, moved: &[R], slope: &mut [R], densit
     density[..n].copy_from_slice(before);
     let of_term = pack_term(step, moved, &records, None);
     let (records, of_term) = (Records::new(&records, WIDTH, n), Records::new(&of_term, of_term.len() / n.max(1), n));
-    let (density, slope) = (Own::new(density), Own::new(slope));
     let rows = if walls_evolve(model, dt) { pairs::all_rows(list) } else { list.fluid_rows.len() };
-    with_term!(model, |term| with_dimension!(model.layout.dimension, |D| run_rows(
-        &Forward::<R, _, D> { step, dt, term, records, of_term, before, density, slope },
-        rows,
-    )));
+    {
+        let (density, slope) = (Own::new(&mut *density), Own::new(slope));
+        with_term!(model, |term| with_dimension!(model.layout.dimension, |D| run_rows(
+            &Forward::<R, _, D> { step, dt, term, records, of_term, before, density, slope },
+            rows,
+        )));
+    }
+    if model.laws.renormalises {
+        model.refresh(density);
+    }
 }
 
 struct Backward<'a, R, T, const D: usize> {
@@ -352,6 +357,7 @@ pub fn backward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], density: &[R], de
     let mut slope = buffers.buffer(list.index.len());
     evolve(step, dt, moved, &mut slope, &mut evolved);
     renormalisation::backward(step, moved, &evolved, density_bar, &mut evolved_bar, moved_bar);
+    model.refresh(&mut evolved_bar);
     for i in (0..n).filter(|&i| !model.is_fluid(i)) {
         moved_bar[model.layout.moved_density() * n + i] += density_bar[i];
     }

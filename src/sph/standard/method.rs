@@ -11,7 +11,6 @@ use crate::config::stability::{self, CflLimit};
 use crate::particles::NeighbourList;
 use crate::sph::flow::{picked, Flow};
 use crate::sph::inventory::{Dropped, Field, Operator};
-use crate::sph::laws::{Flux, Slip};
 use crate::sph::method::{Memory, Method, Model, Parts, Recorder, Sharing, Worker};
 use crate::sph::pairs::stride;
 use crate::sph::part::Part;
@@ -44,12 +43,9 @@ impl<R: Sweeps> Method<R> for Standard<R> {
         Some(Model::new(Self::new(self.flow.of(some, part), self.layout, laws)))
     }
     fn sharing(&self) -> Option<Sharing> {
-        // The other laws have sums over neighbours whose results copies would need, too.
-        let Laws { renormalises, flux, slip, .. } = &self.laws;
-        let is_plain = !renormalises && *flux == Flux::Pair && *slip == Slip::None;
         // Walls average the fluid around them.
         let reaches = if self.has_walls() { 2 } else { 1 };
-        is_plain.then_some(Sharing { reaches, only: None })
+        Standard::is_fused(self).then_some(Sharing { reaches, only: None })
     }
     fn has_velocity(&self, _: usize) -> bool {
         true

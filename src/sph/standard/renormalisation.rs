@@ -128,6 +128,8 @@ pub fn backward<R: Real>(
         record[d + 2] = if open { bar[i] / filled[i] } else { bar[i] };
         record[d + 3] = if open { -(record[d + 2] * mass[i] / filled[i]) } else { R::default() };
     }
+    // s and q.
+    model.refresh_records(&mut records, WIDTH, d + 2, 2);
     let [mass_bar, volume_bar] = sums(step, &records, true, Some(moved_bar));
     for i in 0..n {
         density_bar[i] = R::default();

@@ -118,6 +118,7 @@ impl<R: Sweeps> WholeStep<R> {
                     true => R::evolution(&step, dt, &moved, &mut kept, &mut density),
                     false => R::density(&step, &moved, &mut kept, &mut density),
                 }
+                model.refresh(&mut density);
             }
         }
         // The adjoints read the primitives only for their evolved density.
@@ -184,6 +185,13 @@ impl<R: Sweeps> WholeStep<R> {
             clear(&mut primitives_bar);
         }
         let (moved, kept) = (&self.moved[..], self.chain.kept());
+        // Sums over neighbours read the cotangents of copies, too.
+        let known = model.part.is_some().then(|| {
+            let mut known = copied(bar);
+            model.refresh(&mut known);
+            known
+        });
+        let bar = known.as_deref().unwrap_or(bar);
         R::assemble_bar(step, moved, bar, &mut moved_bar, &mut rates_bar);
         let rates = self.rates.as_ref().map_or(&[][..], |rates| &rates[..]);
         R::rates_bar(step, moved, &kept, rates, &rates_bar, &mut moved_bar, &mut primitives_bar);
@@ -191,7 +199,9 @@ impl<R: Sweeps> WholeStep<R> {
             let of_state = &bar[l.state_density() * n..][..n];
             primitives_bar[..n].iter_mut().zip(of_state).for_each(|(to, from)| *to += *from);
         }
+        model.refresh(&mut primitives_bar);
         R::primitives_bar(step, &kept, &primitives_bar, &mut moved_bar, &mut density_bar);
+        model.refresh(&mut density_bar);
         match l.density {
             true => R::evolution_bar(step, self.dt, moved, &self.density, &density_bar, &mut moved_bar),
             false => R::density_bar(step, moved, &self.density, &density_bar, &mut moved_bar),
