@@ -13,7 +13,7 @@
 
 use super::dynamics::Sph;
 use super::flow::picked;
-use super::method::{Model, Sharing};
+use super::method::{Looked, Model, Sharing};
 use super::pace::Pace;
 use super::part::{Part, Traffic};
 use super::solver::{Snapshot, Solver};
@@ -30,6 +30,7 @@ use serde::Serialize;
 use std::fmt;
 use std::sync::atomic::Ordering;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// The box is cut anew where a rank has more particles than the mean by this factor.
 const UNEVEN: f64 = 1.05;
@@ -54,9 +55,11 @@ pub struct Shares {
     /// How often particles were handed over, and how often the box was cut.
     pub handed_over: usize,
     pub cut: usize,
-    /// Most memory of a rank, and of the first one, which also has the whole flow.
-    pub most_bytes: f64,
+    /// Most memory of the first rank, which also has the whole flow, and of the others.
     pub first_rank_bytes: f64,
+    pub other_rank_bytes: f64,
+    /// Time of a step, of the slowest rank: computing, and waiting for what others send.
+    pub seconds_per_step: f64,
 }
 
 impl fmt::Display for Shares {
@@ -73,11 +76,12 @@ impl fmt::Display for Shares {
         )?;
         write!(
             out,
-            "particles were handed over {} times, the box was cut {} times; the first rank took {}, a rank at most {}",
+            "a step took {:.3} ms; particles were handed over {} times, the box was cut {} times; the first rank took {}, others at most {}",
+            1e3 * self.seconds_per_step,
             self.handed_over,
             self.cut,
             memory(self.first_rank_bytes),
-            memory(self.most_bytes)
+            memory(self.other_rank_bytes)
         )
     }
 }
@@ -121,8 +125,9 @@ pub struct Share<R> {
     pub(super) solver: Solver<R>,
     handed_over: usize,
     cut: usize,
-    /// The step at which the run began.
+    /// The step at which the run began, and the time that steps have taken since.
     began: usize,
+    seconds: f64,
 }
 
 /// How the particles of a model can be shared out.
@@ -295,7 +300,7 @@ impl<R: Sweeps> Share<R> {
         let of = |rows: &[R]| rows.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
         let at = Snapshot { state: of(&start.state), reference: Arc::new(of(&start.reference)), ..*start };
         let solver = Solver::restore(seat.model.clone(), &at)?;
-        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step })
+        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step, seconds: 0.0 })
     }
 
     /// What the first rank wants before the next step, and in how many parts that is made.
@@ -308,6 +313,7 @@ impl<R: Sweeps> Share<R> {
 
     /// Makes a step. All ranks fail in the same one, with the state as it was.
     pub(super) fn advance(&mut self, parts: usize) -> Result<(), RunError> {
+        let clock = Instant::now();
         for part in 0..parts {
             let list = self.solver.neighbourhood.identity;
             self.solver.make_part(part, parts)?;
@@ -317,6 +323,7 @@ impl<R: Sweeps> Share<R> {
             }
         }
         self.solver.step += 1;
+        self.seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }
 
@@ -352,31 +359,56 @@ impl<R: Sweeps> Share<R> {
         Ok(())
     }
 
-    /// Brings the whole flow up to date, which the first rank has.
-    fn show(&self, whole: Option<&mut Solver<R>>) {
-        let (terms, own) = (&self.terms, &self.solver);
+    /// Brings the whole flow up to date, which the first rank has; with its fields, which every rank finds for its particles,
+    /// if somebody looks at them.
+    fn show(&mut self, whole: Option<&mut Solver<R>>, looks: bool) -> Result<(), RunError> {
+        if looks {
+            self.solver.look()?;
+        }
+        let (terms, own, n_own) = (&self.terms, &self.solver, self.seat.numbers.len());
+        let fields = own.looked.fields();
         let mut to = vec![Vec::new(); terms.ranks.size()];
-        let reference = &own.neighbourhood.reference;
-        self.seat.own().for_each(|i| terms.record(&self.seat, &own.state, reference, i, &mut to[0]));
+        for i in self.seat.own() {
+            terms.record(&self.seat, &own.state, &own.neighbourhood.reference, i, &mut to[0]);
+            if looks {
+                to[0].push(f64::from(own.neighbourhood.list.count[i]));
+                to[0].extend(fields.iter().flat_map(|field| field.iter().skip(i).step_by(n_own)).map(|x| x.f64()));
+            }
+        }
         let found = terms.ranks.deal(to);
-        let Some(whole) = whole else { return };
+        let Some(whole) = whole else { return Ok(()) };
         let n = whole.model.particles();
-        let rows = terms.whole.rows.count();
-        let mut reference = vec![R::default(); terms.whole.dimension() * n];
-        for record in found.iter().flat_map(|of| of.chunks_exact(terms.width())) {
+        let (rows, dimensions) = (terms.whole.rows.count(), terms.whole.dimension());
+        let mut reference = vec![R::default(); dimensions * n];
+        let mut looked = Looked::default();
+        for (to, from) in looked.fields_mut().into_iter().zip(fields.iter().filter(|_| looks)) {
+            to.resize(from.len() / n_own * n, R::default());
+        }
+        let mut count = vec![0; if looks { n } else { 0 }];
+        let width =
+            terms.width() + if looks { 1 + fields.iter().map(|field| field.len() / n_own).sum::<usize>() } else { 0 };
+        for record in found.iter().flat_map(|of| of.chunks_exact(width)) {
             let i = record[0] as usize;
-            for (row, &value) in record[1..].iter().enumerate() {
-                match row < rows {
-                    true => whole.state[row * n + i] = R::of(value),
-                    false => reference[(row - rows) * n + i] = R::of(value),
-                }
+            let (state, rest) = record[1..].split_at(rows);
+            let (positions, rest) = rest.split_at(dimensions);
+            for (all, values) in [(&mut whole.state, state), (&mut reference, positions)] {
+                values.iter().enumerate().for_each(|(row, &value)| all[row * n + i] = R::of(value));
+            }
+            let Some((&neighbours, mut rest)) = rest.split_first() else { continue };
+            count[i] = neighbours as u32;
+            for field in looked.fields_mut() {
+                let (values, behind) = rest.split_at(field.len() / n);
+                values.iter().enumerate().for_each(|(row, &value)| field[row * n + i] = R::of(value));
+                rest = behind;
             }
         }
         (whole.step, whole.pace, whole.least_parts) = (own.step, own.pace, own.least_parts);
         (whole.divided, whole.drove) = (own.divided, Some(own.driving_force()));
-        if *whole.neighbourhood.reference != reference {
-            whole.forget_list(Arc::new(reference));
+        whole.forget_list(Arc::new(reference));
+        if looks {
+            whole.take_looked(looked, count);
         }
+        Ok(())
     }
 
     fn shares(&self) -> Shares {
@@ -385,8 +417,8 @@ impl<R: Sweeps> Share<R> {
         let sent = [&traffic.messages, &traffic.bytes].map(|of| of.load(Ordering::Relaxed) as f64 / steps);
         let taken = peak_memory_bytes() as f64;
         let copies = self.seat.numbers.len() - own;
-        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken]);
-        let each = |k: usize| all.iter().skip(k).step_by(5).copied();
+        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken, self.seconds / steps]);
+        let each = |k: usize| all.iter().skip(k).step_by(6).copied();
         let mean = |k: usize| each(k).sum::<f64>() / ranks.size() as f64;
         Shares {
             ranks: ranks.size(),
@@ -397,8 +429,9 @@ impl<R: Sweeps> Share<R> {
             bytes_per_step: mean(3),
             handed_over: self.handed_over,
             cut: self.cut,
-            most_bytes: each(4).fold(0.0, f64::max),
             first_rank_bytes: all[4],
+            other_rank_bytes: each(4).skip(1).fold(0.0, f64::max),
+            seconds_per_step: each(5).fold(0.0, f64::max),
         }
     }
 }
@@ -421,7 +454,7 @@ pub fn lead<R: Sweeps>(
     observers: &mut [&mut dyn Observer<Sph<R>>],
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<(Solver<R>, Shares)> {
-    let mut whole = dynamics.start(start)?;
+    let mut whole = Solver::unlisted(dynamics.model.clone(), start);
     let mut share = Share::new(Arc::new(Terms::new(dynamics.model.clone(), sharing, ranks)), start)?;
     loop {
         let stop = interrupt::check();
@@ -436,7 +469,7 @@ pub fn lead<R: Sweeps>(
         };
         let (_, parts) = share.agree(wanted);
         if is_seen {
-            share.show(Some(&mut whole));
+            share.show(Some(&mut whole), true)?;
             let shares = ends.then(|| share.shares());
             if is_checked {
                 dynamics.check(&whole)?;
@@ -451,7 +484,7 @@ pub fn lead<R: Sweeps>(
         }
         if let Err(error) = share.advance(parts) {
             // One rank knows why, of a particle that has another number there: the same step of the whole flow tells.
-            share.show(Some(&mut whole));
+            share.show(Some(&mut whole), false)?;
             whole.advance()?;
             return Err(error.into());
         }
@@ -472,14 +505,14 @@ pub fn follow<R: Sweeps>(
     loop {
         let (wanted, parts) = share.agree(GO_ON);
         if wanted != GO_ON {
-            share.show(None);
+            share.show(None, true)?;
         }
         if wanted == END {
             share.shares();
             return Ok(());
         }
         if share.advance(parts).is_err() {
-            share.show(None);
+            share.show(None, false)?;
             return Ok(());
         }
     }
