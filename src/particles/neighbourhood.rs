@@ -66,7 +66,7 @@ impl<R: Real> Neighbourhood<R> {
         }
         self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
-        if list.own.len() != reach.own.len() {
+        if list.own != reach.own {
             list.own = reach.own.to_vec();
         }
         list.rebuild(&self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)

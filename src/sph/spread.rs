@@ -24,6 +24,7 @@ use crate::error::BadInput;
 use crate::numerics::interrupt;
 use crate::numerics::ranks::Ranks;
 use crate::particles::decomposition::Decomposition;
+use crate::particles::Neighbourhood;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::text::bytes;
 use serde::Serialize;
@@ -166,6 +167,27 @@ fn bounds<R: Sweeps>(positions: &[R], dimension: usize) -> [[f64; 2]; 3] {
     bounds
 }
 
+/// Where a particle is found that a rank has after particles were handed over: at a place here, or in a record of another rank.
+enum Source {
+    Here(usize),
+    Record(usize),
+}
+
+/// The particles that stay and those of the records, by ascending number.
+fn merged(numbers: &[u32], stay: &[usize], records: &[(usize, &[f64])]) -> Vec<Source> {
+    let mut sources = Vec::with_capacity(stay.len() + records.len());
+    let mut next = 0;
+    for &i in stay {
+        while next < records.len() && records[next].1[0] < f64::from(numbers[i]) {
+            sources.push(Source::Record(next));
+            next += 1;
+        }
+        sources.push(Source::Here(i));
+    }
+    sources.extend((next..records.len()).map(Source::Record));
+    sources
+}
+
 impl<R: 'static> Seat<R> {
     fn part(&self) -> &Part {
         self.model.part.as_deref().expect("the flow of a rank is a part")
@@ -265,12 +287,15 @@ impl<R: Sweeps> Terms<R> {
         } else {
             seat.decomposition.clone()
         };
-        let mut to = vec![Vec::new(); ranks.size()];
+        let here = ranks.rank();
+        let (mut to, mut stay) = (vec![Vec::new(); ranks.size()], Vec::with_capacity(own.len()));
         for &i in &own {
             let place = place(reference, n, i);
             for (rank, to) in to.iter_mut().enumerate() {
-                if decomposition.is_near(rank, place, self.reach) {
-                    self.record(seat, state, reference, i, to);
+                match decomposition.is_near(rank, place, self.reach) {
+                    true if rank == here => stay.push(i),
+                    true => self.record(seat, state, reference, i, to),
+                    false => {}
                 }
             }
         }
@@ -280,13 +305,23 @@ impl<R: Sweeps> Terms<R> {
             records.extend(found.chunks_exact(width).map(|record| (from, record)));
         }
         records.sort_unstable_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
-        let rows = |from: usize, to: usize| -> Vec<R> {
-            (from..to).flat_map(|row| records.iter().map(move |(_, record)| R::of(record[row]))).collect()
+        let sources = merged(&seat.numbers, &stay, &records);
+        let rows = |old: &[R], from: usize| -> Vec<R> {
+            let mut new = Vec::with_capacity(old.len() / n * sources.len());
+            for (row, values) in old.chunks_exact(n).enumerate() {
+                new.extend(sources.iter().map(|source| match *source {
+                    Source::Here(i) => values[i],
+                    Source::Record(k) => R::of(records[k].1[from + row]),
+                }));
+            }
+            new
         };
-        let state_end = 1 + self.whole.rows.count();
-        let numbers: Vec<u32> = records.iter().map(|(_, record)| record[0] as u32).collect();
-        let (state, reference) = (rows(1, state_end), rows(state_end, width));
-        let came_from = records.iter().map(|(from, _)| *from).collect();
+        let (state, reference) = (rows(state, 1), rows(reference, 1 + self.whole.rows.count()));
+        let number = |source: &Source| match *source {
+            Source::Here(i) => (seat.numbers[i], here),
+            Source::Record(k) => (records[k].1[0] as u32, records[k].0),
+        };
+        let (numbers, came_from) = sources.iter().map(number).unzip();
         let seat = self.seat(decomposition, numbers, &reference);
         Dealt { seat, came_from, state, reference, is_cut }
     }
@@ -337,8 +372,10 @@ impl<R: Sweeps> Share<R> {
             state: dealt.state,
             reference: Arc::new(dealt.reference),
         };
-        let mut solver = Solver::restore(dealt.seat.model.clone(), &at)?;
+        let mut solver = Solver::unlisted(dealt.seat.model.clone(), &at);
         (solver.pace, solver.divided, solver.drove) = (old.pace, old.divided, Some(old.driving_force()));
+        // In the memory of the old list.
+        solver.build_list_in(std::mem::replace(&mut self.solver.neighbourhood, Neighbourhood::empty()))?;
         (self.solver, self.seat) = (solver, dealt.seat);
         self.handed_over += 1;
         self.cut += usize::from(dealt.is_cut);
