@@ -66,7 +66,7 @@ impl<R: Real> Neighbourhood<R> {
         }
         self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
-        if list.own != reach.own {
+        if list.own.len() != reach.own.len() {
             list.own = reach.own.to_vec();
         }
         list.rebuild(&self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)

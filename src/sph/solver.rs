@@ -184,13 +184,6 @@ impl<R: Sweeps> Solver<R> {
         (self.list_is_old, self.is_looked) = (true, true);
     }
 
-    /// Builds the list of [`Self::unlisted`] in the memory of another one.
-    pub(super) fn build_list_in(&mut self, memory: Neighbourhood<R>) -> Result<(), RunError> {
-        let reference = std::mem::replace(&mut self.neighbourhood, memory).reference;
-        self.forget_list(reference);
-        self.build_list()
-    }
-
     /// Builds the neighbour list of [`Self::forget_list`].
     fn build_list(&mut self) -> Result<(), RunError> {
         if std::mem::take(&mut self.list_is_old) {

@@ -24,7 +24,6 @@ use crate::error::BadInput;
 use crate::numerics::interrupt;
 use crate::numerics::ranks::Ranks;
 use crate::particles::decomposition::Decomposition;
-use crate::particles::Neighbourhood;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::text::bytes;
 use serde::Serialize;
@@ -372,10 +371,8 @@ impl<R: Sweeps> Share<R> {
             state: dealt.state,
             reference: Arc::new(dealt.reference),
         };
-        let mut solver = Solver::unlisted(dealt.seat.model.clone(), &at);
+        let mut solver = Solver::restore(dealt.seat.model.clone(), &at)?;
         (solver.pace, solver.divided, solver.drove) = (old.pace, old.divided, Some(old.driving_force()));
-        // In the memory of the old list.
-        solver.build_list_in(std::mem::replace(&mut self.solver.neighbourhood, Neighbourhood::empty()))?;
         (self.solver, self.seat) = (solver, dealt.seat);
         self.handed_over += 1;
         self.cut += usize::from(dealt.is_cut);
