@@ -229,17 +229,6 @@ pub struct Looked<R> {
     pub temperature: Vec<R>,
 }
 
-impl<R> Looked<R> {
-    /// All fields, in their order.
-    pub fn fields(&self) -> [&[R]; 5] {
-        [&self.position, &self.velocity, &self.density, &self.mass, &self.temperature]
-    }
-
-    pub fn fields_mut(&mut self) -> [&mut Vec<R>; 5] {
-        [&mut self.position, &mut self.velocity, &mut self.density, &mut self.mass, &mut self.temperature]
-    }
-}
-
 /// The fields of a state as tensors, which are on candle's graph if the state is.
 pub struct Shown {
     /// Position, `[D, N]`.

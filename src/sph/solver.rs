@@ -12,7 +12,7 @@ use crate::config::device::Compute;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::read;
 use crate::numerics::lanes::Real;
-use crate::particles::{NeighbourList, Neighbourhood};
+use crate::particles::Neighbourhood;
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
 
@@ -61,8 +61,6 @@ pub struct Solver<R> {
     pub drove: Option<f64>,
     /// Whether the list is not that of its reference.
     list_is_old: bool,
-    /// Whether [`Self::looked`] has the fields of the present state already, because several ranks have found them.
-    is_looked: bool,
     worker: Box<dyn Worker<R>>,
     /// Device of composed steps.
     device: Device,
@@ -80,17 +78,10 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// As for [`Self::new`].
     pub fn restore(model: impl Into<Model<R>>, snapshot: &Snapshot<R>) -> Result<Self, RunError> {
-        let mut new = Self::unlisted(model, snapshot);
-        new.build_list()?;
-        Ok(new)
-    }
-
-    /// [`Self::restore`], but for the neighbour list, which is built when somebody needs it.
-    pub(super) fn unlisted(model: impl Into<Model<R>>, snapshot: &Snapshot<R>) -> Self {
         let model = model.into();
-        let mut neighbourhood = Neighbourhood::empty();
-        neighbourhood.reference = snapshot.reference.clone();
-        Self {
+        let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
+            .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
+        Ok(Self {
             worker: model.worker(),
             model,
             state: snapshot.state.clone(),
@@ -102,10 +93,9 @@ impl<R: Sweeps> Solver<R> {
             neighbourhood,
             looked: Looked::default(),
             drove: None,
-            list_is_old: true,
-            is_looked: false,
+            list_is_old: false,
             device: Device::Cpu,
-        }
+        })
     }
 
     /// The same solver with its composed steps on a device.
@@ -141,7 +131,6 @@ impl<R: Sweeps> Solver<R> {
 
     fn advance_by(&mut self, make_part: fn(&mut Self) -> Result<(), RunError>) -> Result<(), RunError> {
         self.build_list()?;
-        self.is_looked = false;
         let parts = self.model.parts(&self.state).max(self.least_parts);
         for part in 0..parts {
             self.go_to_part(part, parts, make_part)?;
@@ -174,14 +163,6 @@ impl<R: Sweeps> Solver<R> {
     pub(super) fn forget_list(&mut self, reference: Arc<Vec<R>>) {
         self.neighbourhood.reference = reference;
         self.list_is_old = true;
-        self.is_looked = false;
-    }
-
-    /// Takes the fields of the present state, and the number of neighbours of each particle, from those who have found them.
-    pub(super) fn take_looked(&mut self, looked: Looked<R>, count: Vec<u32>) {
-        self.looked = looked;
-        self.neighbourhood.list = Arc::new(NeighbourList { count, ..NeighbourList::default() });
-        (self.list_is_old, self.is_looked) = (true, true);
     }
 
     /// Builds the neighbour list of [`Self::forget_list`].
@@ -230,9 +211,6 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// Tensor errors, of a method that is composed of candle's operators.
     pub fn look(&mut self) -> Result<(), RunError> {
-        if self.is_looked {
-            return Ok(());
-        }
         self.build_list()?;
         let Self { model, state, step, pace, neighbourhood, worker, device, looked, .. } = self;
         let times = pace.times(model.dt, *step);
@@ -243,10 +221,6 @@ impl<R: Sweeps> Solver<R> {
     /// units of density * temperature * volume / time (times the heat capacity: power). With fits it is what conduction
     /// brings to that fluid, because the flux at the walls themselves is infinite at both ends of the hot section.
     pub fn wall_heat_flux(&mut self, until: f64) -> Result<f64, RunError> {
-        // It needs more than the fields.
-        if std::mem::take(&mut self.is_looked) {
-            self.look()?;
-        }
         let Self { model, state, step, pace, neighbourhood, worker, device, .. } = self;
         let times = pace.times(model.dt, *step);
         worker.wall_heat(&Place { neighbourhood, times, step: *step, parts: pace.parts, device }, state, until)

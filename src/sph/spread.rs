@@ -13,7 +13,7 @@
 
 use super::dynamics::Sph;
 use super::flow::picked;
-use super::method::{Looked, Model, Sharing};
+use super::method::{Model, Sharing};
 use super::pace::Pace;
 use super::part::{Part, Traffic};
 use super::solver::{Snapshot, Solver};
@@ -30,7 +30,6 @@ use serde::Serialize;
 use std::fmt;
 use std::sync::atomic::Ordering;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// The box is cut anew where a rank has more particles than the mean by this factor.
 const UNEVEN: f64 = 1.05;
@@ -55,11 +54,9 @@ pub struct Shares {
     /// How often particles were handed over, and how often the box was cut.
     pub handed_over: usize,
     pub cut: usize,
-    /// Most memory of the first rank, which also has the whole flow, and of the others.
+    /// Most memory of a rank, and of the first one, which also has the whole flow.
+    pub most_bytes: f64,
     pub first_rank_bytes: f64,
-    pub other_rank_bytes: f64,
-    /// Time of a step, of the slowest rank: computing, and waiting for what others send.
-    pub seconds_per_step: f64,
 }
 
 impl fmt::Display for Shares {
@@ -76,12 +73,11 @@ impl fmt::Display for Shares {
         )?;
         write!(
             out,
-            "a step took {:.3} ms; particles were handed over {} times, the box was cut {} times; the first rank took {}, others at most {}",
-            1e3 * self.seconds_per_step,
+            "particles were handed over {} times, the box was cut {} times; the first rank took {}, a rank at most {}",
             self.handed_over,
             self.cut,
             memory(self.first_rank_bytes),
-            memory(self.other_rank_bytes)
+            memory(self.most_bytes)
         )
     }
 }
@@ -125,9 +121,8 @@ pub struct Share<R> {
     pub(super) solver: Solver<R>,
     handed_over: usize,
     cut: usize,
-    /// The step at which the run began, and the time that steps have taken since.
+    /// The step at which the run began.
     began: usize,
-    seconds: f64,
 }
 
 /// How the particles of a model can be shared out.
@@ -164,27 +159,6 @@ fn bounds<R: Sweeps>(positions: &[R], dimension: usize) -> [[f64; 2]; 3] {
         *of = [of[0].min(x), of[1].max(x)];
     }
     bounds
-}
-
-/// Where a particle is found that a rank has after particles were handed over: at a place here, or in a record of another rank.
-enum Source {
-    Here(usize),
-    Record(usize),
-}
-
-/// The particles that stay and those of the records, by ascending number.
-fn merged(numbers: &[u32], stay: &[usize], records: &[(usize, &[f64])]) -> Vec<Source> {
-    let mut sources = Vec::with_capacity(stay.len() + records.len());
-    let mut next = 0;
-    for &i in stay {
-        while next < records.len() && records[next].1[0] < f64::from(numbers[i]) {
-            sources.push(Source::Record(next));
-            next += 1;
-        }
-        sources.push(Source::Here(i));
-    }
-    sources.extend((next..records.len()).map(Source::Record));
-    sources
 }
 
 impl<R: 'static> Seat<R> {
@@ -286,15 +260,12 @@ impl<R: Sweeps> Terms<R> {
         } else {
             seat.decomposition.clone()
         };
-        let here = ranks.rank();
-        let (mut to, mut stay) = (vec![Vec::new(); ranks.size()], Vec::with_capacity(own.len()));
+        let mut to = vec![Vec::new(); ranks.size()];
         for &i in &own {
             let place = place(reference, n, i);
             for (rank, to) in to.iter_mut().enumerate() {
-                match decomposition.is_near(rank, place, self.reach) {
-                    true if rank == here => stay.push(i),
-                    true => self.record(seat, state, reference, i, to),
-                    false => {}
+                if decomposition.is_near(rank, place, self.reach) {
+                    self.record(seat, state, reference, i, to);
                 }
             }
         }
@@ -304,23 +275,13 @@ impl<R: Sweeps> Terms<R> {
             records.extend(found.chunks_exact(width).map(|record| (from, record)));
         }
         records.sort_unstable_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
-        let sources = merged(&seat.numbers, &stay, &records);
-        let rows = |old: &[R], from: usize| -> Vec<R> {
-            let mut new = Vec::with_capacity(old.len() / n * sources.len());
-            for (row, values) in old.chunks_exact(n).enumerate() {
-                new.extend(sources.iter().map(|source| match *source {
-                    Source::Here(i) => values[i],
-                    Source::Record(k) => R::of(records[k].1[from + row]),
-                }));
-            }
-            new
+        let rows = |from: usize, to: usize| -> Vec<R> {
+            (from..to).flat_map(|row| records.iter().map(move |(_, record)| R::of(record[row]))).collect()
         };
-        let (state, reference) = (rows(state, 1), rows(reference, 1 + self.whole.rows.count()));
-        let number = |source: &Source| match *source {
-            Source::Here(i) => (seat.numbers[i], here),
-            Source::Record(k) => (records[k].1[0] as u32, records[k].0),
-        };
-        let (numbers, came_from) = sources.iter().map(number).unzip();
+        let state_end = 1 + self.whole.rows.count();
+        let numbers: Vec<u32> = records.iter().map(|(_, record)| record[0] as u32).collect();
+        let (state, reference) = (rows(1, state_end), rows(state_end, width));
+        let came_from = records.iter().map(|(from, _)| *from).collect();
         let seat = self.seat(decomposition, numbers, &reference);
         Dealt { seat, came_from, state, reference, is_cut }
     }
@@ -334,7 +295,7 @@ impl<R: Sweeps> Share<R> {
         let of = |rows: &[R]| rows.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
         let at = Snapshot { state: of(&start.state), reference: Arc::new(of(&start.reference)), ..*start };
         let solver = Solver::restore(seat.model.clone(), &at)?;
-        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step, seconds: 0.0 })
+        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step })
     }
 
     /// What the first rank wants before the next step, and in how many parts that is made.
@@ -347,7 +308,6 @@ impl<R: Sweeps> Share<R> {
 
     /// Makes a step. All ranks fail in the same one, with the state as it was.
     pub(super) fn advance(&mut self, parts: usize) -> Result<(), RunError> {
-        let clock = Instant::now();
         for part in 0..parts {
             let list = self.solver.neighbourhood.identity;
             self.solver.make_part(part, parts)?;
@@ -357,7 +317,6 @@ impl<R: Sweeps> Share<R> {
             }
         }
         self.solver.step += 1;
-        self.seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }
 
@@ -393,56 +352,31 @@ impl<R: Sweeps> Share<R> {
         Ok(())
     }
 
-    /// Brings the whole flow up to date, which the first rank has; with its fields, which every rank finds for its particles,
-    /// if somebody looks at them.
-    fn show(&mut self, whole: Option<&mut Solver<R>>, looks: bool) -> Result<(), RunError> {
-        if looks {
-            self.solver.look()?;
-        }
-        let (terms, own, n_own) = (&self.terms, &self.solver, self.seat.numbers.len());
-        let fields = own.looked.fields();
+    /// Brings the whole flow up to date, which the first rank has.
+    fn show(&self, whole: Option<&mut Solver<R>>) {
+        let (terms, own) = (&self.terms, &self.solver);
         let mut to = vec![Vec::new(); terms.ranks.size()];
-        for i in self.seat.own() {
-            terms.record(&self.seat, &own.state, &own.neighbourhood.reference, i, &mut to[0]);
-            if looks {
-                to[0].push(f64::from(own.neighbourhood.list.count[i]));
-                to[0].extend(fields.iter().flat_map(|field| field.iter().skip(i).step_by(n_own)).map(|x| x.f64()));
-            }
-        }
+        let reference = &own.neighbourhood.reference;
+        self.seat.own().for_each(|i| terms.record(&self.seat, &own.state, reference, i, &mut to[0]));
         let found = terms.ranks.deal(to);
-        let Some(whole) = whole else { return Ok(()) };
+        let Some(whole) = whole else { return };
         let n = whole.model.particles();
-        let (rows, dimensions) = (terms.whole.rows.count(), terms.whole.dimension());
-        let mut reference = vec![R::default(); dimensions * n];
-        let mut looked = Looked::default();
-        for (to, from) in looked.fields_mut().into_iter().zip(fields.iter().filter(|_| looks)) {
-            to.resize(from.len() / n_own * n, R::default());
-        }
-        let mut count = vec![0; if looks { n } else { 0 }];
-        let width =
-            terms.width() + if looks { 1 + fields.iter().map(|field| field.len() / n_own).sum::<usize>() } else { 0 };
-        for record in found.iter().flat_map(|of| of.chunks_exact(width)) {
+        let rows = terms.whole.rows.count();
+        let mut reference = vec![R::default(); terms.whole.dimension() * n];
+        for record in found.iter().flat_map(|of| of.chunks_exact(terms.width())) {
             let i = record[0] as usize;
-            let (state, rest) = record[1..].split_at(rows);
-            let (positions, rest) = rest.split_at(dimensions);
-            for (all, values) in [(&mut whole.state, state), (&mut reference, positions)] {
-                values.iter().enumerate().for_each(|(row, &value)| all[row * n + i] = R::of(value));
-            }
-            let Some((&neighbours, mut rest)) = rest.split_first() else { continue };
-            count[i] = neighbours as u32;
-            for field in looked.fields_mut() {
-                let (values, behind) = rest.split_at(field.len() / n);
-                values.iter().enumerate().for_each(|(row, &value)| field[row * n + i] = R::of(value));
-                rest = behind;
+            for (row, &value) in record[1..].iter().enumerate() {
+                match row < rows {
+                    true => whole.state[row * n + i] = R::of(value),
+                    false => reference[(row - rows) * n + i] = R::of(value),
+                }
             }
         }
         (whole.step, whole.pace, whole.least_parts) = (own.step, own.pace, own.least_parts);
         (whole.divided, whole.drove) = (own.divided, Some(own.driving_force()));
-        whole.forget_list(Arc::new(reference));
-        if looks {
-            whole.take_looked(looked, count);
+        if *whole.neighbourhood.reference != reference {
+            whole.forget_list(Arc::new(reference));
         }
-        Ok(())
     }
 
     fn shares(&self) -> Shares {
@@ -451,8 +385,8 @@ impl<R: Sweeps> Share<R> {
         let sent = [&traffic.messages, &traffic.bytes].map(|of| of.load(Ordering::Relaxed) as f64 / steps);
         let taken = peak_memory_bytes() as f64;
         let copies = self.seat.numbers.len() - own;
-        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken, self.seconds / steps]);
-        let each = |k: usize| all.iter().skip(k).step_by(6).copied();
+        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken]);
+        let each = |k: usize| all.iter().skip(k).step_by(5).copied();
         let mean = |k: usize| each(k).sum::<f64>() / ranks.size() as f64;
         Shares {
             ranks: ranks.size(),
@@ -463,9 +397,8 @@ impl<R: Sweeps> Share<R> {
             bytes_per_step: mean(3),
             handed_over: self.handed_over,
             cut: self.cut,
+            most_bytes: each(4).fold(0.0, f64::max),
             first_rank_bytes: all[4],
-            other_rank_bytes: each(4).skip(1).fold(0.0, f64::max),
-            seconds_per_step: each(5).fold(0.0, f64::max),
         }
     }
 }
@@ -488,7 +421,7 @@ pub fn lead<R: Sweeps>(
     observers: &mut [&mut dyn Observer<Sph<R>>],
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<(Solver<R>, Shares)> {
-    let mut whole = Solver::unlisted(dynamics.model.clone(), start);
+    let mut whole = dynamics.start(start)?;
     let mut share = Share::new(Arc::new(Terms::new(dynamics.model.clone(), sharing, ranks)), start)?;
     loop {
         let stop = interrupt::check();
@@ -503,7 +436,7 @@ pub fn lead<R: Sweeps>(
         };
         let (_, parts) = share.agree(wanted);
         if is_seen {
-            share.show(Some(&mut whole), true)?;
+            share.show(Some(&mut whole));
             let shares = ends.then(|| share.shares());
             if is_checked {
                 dynamics.check(&whole)?;
@@ -518,7 +451,7 @@ pub fn lead<R: Sweeps>(
         }
         if let Err(error) = share.advance(parts) {
             // One rank knows why, of a particle that has another number there: the same step of the whole flow tells.
-            share.show(Some(&mut whole), false)?;
+            share.show(Some(&mut whole));
             whole.advance()?;
             return Err(error.into());
         }
@@ -539,14 +472,14 @@ pub fn follow<R: Sweeps>(
     loop {
         let (wanted, parts) = share.agree(GO_ON);
         if wanted != GO_ON {
-            share.show(None, true)?;
+            share.show(None);
         }
         if wanted == END {
             share.shares();
             return Ok(());
         }
         if share.advance(parts).is_err() {
-            share.show(None, false)?;
+            share.show(None);
             return Ok(());
         }
     }
