@@ -7,7 +7,7 @@
 //!   have found ([`Part::refresh`](super::part::Part::refresh)). Where a particle gives something to another one without a sum there,
 //!   the owner gets it back ([`give_back`](super::part::Part::give_back)).
 //! * Where particles were handed over in a step, their cotangents go back to the ranks that they came from.
-//! * Objectives see the whole flow ([`Whole`]) on every rank, whose cotangent is taken by the owners.
+//! * Objectives see the whole flow (`Whole`) on every rank, whose cotangent is taken by the owners.
 
 use super::dynamics::Sph;
 use super::method::Sharing;
