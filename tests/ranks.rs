@@ -354,12 +354,14 @@ fn checked(ranks: usize, scene: &str, out: &Path) -> serde_json::Value {
 
 /// Runs long enough that particles are handed over. Every kind of shift, both methods, a drive, both precisions, segments and
 /// recomputed states, two and three dimensions.
-const GRADIENTS: [&str; 9] = [
+const GRADIENTS: [&str; 10] = [
     "heated-channel --steps 80",
     "heated-channel --steps 80 --memory 5MB",
     "heated-channel --steps 80 --set optimise.segment=8",
     "heated-channel --steps 80 --set method.shift=isotropic",
     "heated-channel --steps 80 --set fluid.drive=flow-rate",
+    // So tall that one of three ranks has no walls.
+    "heated-channel --steps 12 --dx 0.025 --set method.shift=isotropic --set channel.length=0.5 --set channel.height=1.5 --set channel.hot_from=0.15 --set channel.hot_to=0.35 --set objective.target_x=0.42 --set fluid.body_force=0.03",
     "heated-channel --steps 80 --method standard",
     "heated-channel --steps 80 --method standard --set method.transport_velocity=1",
     "heated-channel --steps 40 --precision f32",

@@ -107,6 +107,12 @@ impl<R: Real, const D: usize, const K: usize, const P: usize, const N: usize, co
     }
 }
 
+/// Whether there are no dummy particles, also on other ranks: those exchange what they find, and wait for this one.
+fn has_none<R: Real>(geometry: &Geometry<'_, R>) -> bool {
+    let others_have = geometry.model.part.as_ref().is_some_and(|part| part.has_walls);
+    geometry.model.fits.dummies.is_empty() && !others_have
+}
+
 /// The mirror image of a dummy particle from its surface point, in units of dx.
 #[inline(always)]
 fn mirror<R: Real>(geometry: &Geometry<'_, R>, known: &[R], dummy: usize, point: usize, d: usize) -> R {
@@ -119,7 +125,7 @@ fn mirror<R: Real>(geometry: &Geometry<'_, R>, known: &[R], dummy: usize, point:
 /// `all`: these are all fields, and the matrices are made; else it is the new pressure, with the matrices that there are.
 pub fn fill<R: Real>(geometry: &Geometry<'_, R>, known: &[R], fields: &mut [R], kept: &mut Kept<R>, all: bool) {
     let fits = &geometry.model.fits;
-    if fits.dummies.is_empty() {
+    if has_none(geometry) {
         return;
     }
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
@@ -273,7 +279,7 @@ pub fn backward<R: Real>(
     known_bar: &mut [R],
 ) {
     let fits = &geometry.model.fits;
-    if fits.dummies.is_empty() {
+    if has_none(geometry) {
         return;
     }
     let (n, l) = (geometry.model.particles(), geometry.model.layout);
