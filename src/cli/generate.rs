@@ -4,7 +4,7 @@ use super::arguments::CommonArguments;
 use super::files::VERSION;
 use super::machine;
 use super::page;
-use super::prepare::{difference, open_device, share_out, use_threads, workers};
+use super::prepare::{difference, open_device, share_out, threads_of, use_threads, workers};
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::{Shard, ShardArgument};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
@@ -267,11 +267,7 @@ fn missing_of(store: &Store, loaded: &Loaded, recipe: &Recipe, mine: &[Job], ran
                 .advice(format!("remove {} and give the same command again", store.part(job).display()))
         })?;
     }
-    let threads = match loaded.config.run.threads {
-        0 => ranks.threads().unwrap_or(0),
-        threads => threads,
-    };
-    let workers = make(store, loaded, recipe, &todo, threads)?;
+    let workers = make(store, loaded, recipe, &todo, threads_of(ranks, loaded.config.run.threads))?;
     Ok(Made { made: todo.len(), kept: mine.len() - todo.len(), workers, ..Made::default() })
 }
 

@@ -3,7 +3,7 @@
 use super::arguments::name_of;
 use super::optimize_report::Outcome;
 use super::optimize_search::{one, Begin, FREE};
-use super::prepare::{difference, share_out, workers};
+use super::prepare::{difference, share_out, threads_of, workers};
 use super::run_folder::{Earlier, RunFolder};
 use super::shard::Shard;
 use super::{files, machine, verify};
@@ -95,7 +95,7 @@ fn search_share(
 /// Runs the starts of this one of several ranks, when all of them do so. The first one then compares all starts.
 pub fn starts_of_rank(loaded: &Loaded, folder: &Path, ranks: &Ranks) -> anyhow::Result<()> {
     ranks.all(&[0.0]);
-    let threads = ranks.threads().unwrap_or(0);
+    let threads = threads_of(ranks, loaded.config.run.threads);
     let shard = Shard { index: ranks.rank(), count: ranks.size() };
     let searched = search_share(loaded, folder, shard, threads);
     // Also where this one was stopped: the others wait here.

@@ -30,7 +30,16 @@ pub fn use_threads(threads: usize) {
 
 /// The same for one of several ranks, which share the cores of their machine.
 pub fn use_threads_of(ranks: &Ranks, threads: usize) {
-    use_threads(if threads == 0 { ranks.threads().unwrap_or(0) } else { threads });
+    use_threads(threads_of(ranks, threads));
+}
+
+/// Threads of one of several ranks; 0 where there is one process and nobody gave a number.
+pub fn threads_of(ranks: &Ranks, threads: usize) -> usize {
+    if threads == 0 {
+        ranks.threads().unwrap_or(0)
+    } else {
+        threads
+    }
 }
 
 /// Opens the device of a configuration, before anything is written.

@@ -182,7 +182,10 @@ impl<R: Sweeps> Problem<R> {
         }
         let start = self.start(variables);
         let found = match &self.team {
-            Some(team) => self.differentiate_shared(team, variables, schedule, progress),
+            Some(team) => {
+                team.tell(Order::Gradient(*schedule), variables);
+                self.differentiate_shared(team, &start, schedule, progress)
+            }
             None => gradient(&self.dynamics(), &start, schedule, &*self.objective, progress),
         };
         let found = found.map_err(|error| told(&error, &self.model, &start))?;
@@ -235,7 +238,8 @@ impl<R: Sweeps> Problem<R> {
                 Order::End => return,
                 Order::Value => self.evaluate(&variables).err(),
                 Order::Gradient(schedule) => {
-                    self.differentiate_shared(team, &variables, &schedule, &mut |_| ()).err().map(Into::into)
+                    let start = self.start(&variables);
+                    self.differentiate_shared(team, &start, &schedule, &mut |_| ()).err().map(Into::into)
                 }
             };
             if let Some(error) = failed {
@@ -248,14 +252,13 @@ impl<R: Sweeps> Problem<R> {
     fn differentiate_shared(
         &self,
         team: &Team,
-        variables: &[f64],
+        start: &Snapshot<R>,
         schedule: &Schedule,
         progress: Progress<'_>,
     ) -> Result<Gradient, RunError> {
-        team.tell(Order::Gradient(*schedule), variables);
-        let (spread, start) = (team.spread(&self.model), self.start(variables));
-        let mut found = gradient(&spread, &start, schedule, &*self.objective, progress)?;
-        found.state = spread.whole(&start, &found.state).map_err(RunError::tensor(0))?;
+        let spread = team.spread(&self.model);
+        let mut found = gradient(&spread, start, schedule, &*self.objective, progress)?;
+        found.state = spread.whole(start, &found.state).map_err(RunError::tensor(0))?;
         Ok(found)
     }
 

@@ -20,6 +20,7 @@ use super::solver::{Snapshot, Solver};
 use super::sweeps::Sweeps;
 use crate::adjoint::run::{Observer, CHECK_EVERY};
 use crate::adjoint::{Dynamics, RunError};
+use crate::config::scene::Kernels;
 use crate::error::BadInput;
 use crate::numerics::interrupt;
 use crate::numerics::ranks::Ranks;
@@ -94,13 +95,12 @@ pub(super) struct Terms<R> {
 }
 
 /// The particles that a rank has between two hand-overs.
-#[derive(Debug)]
 pub(super) struct Seat<R> {
     decomposition: Decomposition,
     /// Number in the whole flow of each particle here, ascending.
     pub numbers: Vec<u32>,
     /// The flow of these particles.
-    pub model: Model<R>,
+    pub flow: Sph<R>,
 }
 
 /// What a rank has after particles were handed over.
@@ -163,7 +163,7 @@ fn bounds<R: Sweeps>(positions: &[R], dimension: usize) -> [[f64; 2]; 3] {
 
 impl<R: 'static> Seat<R> {
     fn part(&self) -> &Part {
-        self.model.part.as_deref().expect("the flow of a rank is a part")
+        self.flow.model.part.as_deref().expect("the flow of a rank is a part")
     }
 
     /// Own particles, by their place here.
@@ -210,7 +210,7 @@ impl<R: Sweeps> Terms<R> {
             traffic: self.traffic.clone(),
         };
         let model = self.whole.of(&numbers, Arc::new(part)).expect("a model that can be shared out");
-        Arc::new(Seat { decomposition, numbers, model })
+        Arc::new(Seat { decomposition, numbers, flow: Sph::new(model, Kernels::Fused) })
     }
 
     /// The record of a particle, which another rank reads.
@@ -294,7 +294,7 @@ impl<R: Sweeps> Share<R> {
         let seat = terms.first(&start.reference);
         let of = |rows: &[R]| rows.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
         let at = Snapshot { state: of(&start.state), reference: Arc::new(of(&start.reference)), ..*start };
-        let solver = Solver::restore(seat.model.clone(), &at)?;
+        let solver = Solver::restore(seat.flow.model.clone(), &at)?;
         Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step })
     }
 
@@ -330,7 +330,7 @@ impl<R: Sweeps> Share<R> {
             state: dealt.state,
             reference: Arc::new(dealt.reference),
         };
-        let mut solver = Solver::restore(dealt.seat.model.clone(), &at)?;
+        let mut solver = Solver::restore(dealt.seat.flow.model.clone(), &at)?;
         (solver.pace, solver.divided, solver.drove) = (old.pace, old.divided, Some(old.driving_force()));
         (self.solver, self.seat) = (solver, dealt.seat);
         self.handed_over += 1;
@@ -347,7 +347,7 @@ impl<R: Sweeps> Share<R> {
                 self.solver.step = at.step;
                 self.solver.pace = Pace::after(at.parts);
             }
-            false => self.solver = Solver::restore(seat.model.clone(), at)?,
+            false => self.solver = Solver::restore(seat.flow.model.clone(), at)?,
         }
         Ok(())
     }

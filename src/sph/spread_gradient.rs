@@ -121,7 +121,7 @@ impl<R: Sweeps> Operator<1> for Refresh<R> {
 
     fn forward(&self, [state]: [&[R]; 1], [shape]: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
         let mut state = state.to_vec();
-        self.0.model.refresh(&mut state);
+        self.0.flow.model.refresh(&mut state);
         Ok((state, shape.clone()))
     }
 
@@ -217,18 +217,18 @@ impl<R: Sweeps> Spread<R> {
         step: usize,
         own: std::result::Result<(), RunError>,
     ) -> std::result::Result<(), RunError> {
+        let number = |particle: usize| f64::from(seat.numbers[particle]);
         let told = match &own {
-            Ok(()) => [0.0; 4],
+            Ok(()) => [0.0; 5],
             Err(RunError::NotFinite { field, particle, value, .. }) => {
-                [1.0, self.row_of(field), f64::from(seat.numbers[*particle]), *value]
+                [1.0, self.row_of(field), number(*particle), *value, 0.0]
             }
-            Err(RunError::Impossible { field, particle, value, .. }) => {
-                [2.0, self.row_of(field), f64::from(seat.numbers[*particle]), *value]
+            Err(RunError::Impossible { field, particle, value, limit, .. }) => {
+                [2.0, self.row_of(field), number(*particle), *value, *limit]
             }
-            Err(_) => [3.0, 0.0, 0.0, 0.0],
+            Err(_) => [3.0, 0.0, 0.0, 0.0, 0.0],
         };
-        let limit = if let Err(RunError::Impossible { limit, .. }) = &own { *limit } else { 0.0 };
-        let all = self.terms.ranks.all(&[&told[..], &[limit]].concat());
+        let all = self.terms.ranks.all(&told);
         let Some(of) = all.chunks_exact(5).find(|of| of[0] > 0.0) else { return Ok(()) };
         let field = self.whole.model.rows.quantity(of[1] as usize).map_or("state", |quantity| quantity.name());
         let particle = of[2] as usize;
@@ -243,10 +243,6 @@ impl<R: Sweeps> Spread<R> {
         let rows = self.whole.model.rows;
         let is_it = |row: &usize| rows.quantity(*row).is_some_and(|quantity| quantity.name() == field);
         (0..rows.count()).find(is_it).unwrap_or_default() as f64
-    }
-
-    fn part(&self, seat: &Seat<R>) -> Sph<R> {
-        Sph::new(seat.model.clone(), Kernels::Fused)
     }
 }
 
@@ -272,7 +268,7 @@ impl<R: Sweeps> Dynamics for Spread<R> {
     }
     fn look(&self, run: &mut Share<R>) -> std::result::Result<Fields, RunError> {
         let step = run.solver.step;
-        let fields = self.part(&run.seat).look(&mut run.solver)?;
+        let fields = run.seat.flow.look(&mut run.solver)?;
         self.whole_fields(&run.seat, fields, &run.solver.neighbourhood.list.count).map_err(RunError::tensor(step))
     }
     fn over_all(&self, own: f64) -> f64 {
@@ -280,7 +276,7 @@ impl<R: Sweeps> Dynamics for Spread<R> {
     }
     fn tensor(&self, start: &Snapshot<R>) -> std::result::Result<Tensor, RunError> {
         let share = self.start(start)?;
-        self.part(&share.seat).tensor(&share.solver.snapshot())
+        share.seat.flow.tensor(&share.solver.snapshot())
     }
     fn advance_taped(
         &self,
@@ -299,13 +295,13 @@ impl<R: Sweeps> Dynamics for Spread<R> {
         let dealt = self.terms.hand_over(&tape.seat, &values, &tape.solver.neighbourhood.reference);
         let step = tape.solver.step;
         let at = Snapshot { step, parts: 1, least_parts: 1, state: Vec::new(), reference: Arc::new(dealt.reference) };
-        tape.solver = TensorSolver::restore(dealt.seat.model.clone(), &at, Kernels::Fused)?;
+        tape.solver = TensorSolver::restore(dealt.seat.flow.model.clone(), &at, Kernels::Fused)?;
         let before = std::mem::replace(&mut tape.seat, dealt.seat.clone());
         let (ranks, came_from, state) = (self.terms.ranks.clone(), dealt.came_from, Mutex::new(dealt.state));
         apply1(HandOver { ranks, before, after: dealt.seat, came_from, state }, &next).map_err(failed)
     }
     fn fields(&self, tape: &mut SharedTape<R>, state: &Tensor) -> std::result::Result<Fields, RunError> {
-        let fields = self.part(&tape.seat).fields(&mut tape.solver, state)?;
+        let fields = tape.seat.flow.fields(&mut tape.solver, state)?;
         let count = &tape.solver.neighbourhood.list.count;
         self.whole_fields(&tape.seat, fields, count).map_err(RunError::tensor(tape.solver.step))
     }
@@ -323,7 +319,7 @@ impl<R: Sweeps> Dynamics for Spread<R> {
         last: Option<SharedTape<R>>,
         _: &Share<R>,
     ) -> std::result::Result<(SharedTape<R>, Var), RunError> {
-        let (model, at) = (&kept.seat.model, &kept.at);
+        let (model, at) = (&kept.seat.flow.model, &kept.at);
         let has_list = |last: &SharedTape<R>| Arc::ptr_eq(&last.solver.neighbourhood.reference, &at.reference);
         let solver = match last.filter(has_list) {
             Some(last) => {
@@ -343,6 +339,6 @@ impl<R: Sweeps> Dynamics for Spread<R> {
         Bytes { own, shared, identity: Arc::as_ptr(&at.reference) as usize }
     }
     fn taped_bytes(&self, tape: &SharedTape<R>) -> Bytes {
-        self.part(&tape.seat).taped_bytes(&tape.solver)
+        tape.seat.flow.taped_bytes(&tape.solver)
     }
 }
