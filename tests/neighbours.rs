@@ -3,9 +3,9 @@
 use hydrograd::numerics::lanes::Real;
 use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::particles::neighbour_list::NeighbourError;
-use hydrograd::particles::NeighbourList;
-use hydrograd::particles::{tag, Domain};
+use hydrograd::particles::{tag, Domain, NeighbourList, Neighbourhood, Reach};
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 
 const REACH: f64 = 0.1;
 
@@ -119,6 +119,35 @@ fn fluid_only_and_walls_only() {
     assert_eq!((list.pairs(), list.fluid_rows.len(), list.wall_rows.len()), (0, 0, 0));
     let list = NeighbourList::build::<f64>(&[], &[], &domain, REACH, 0).unwrap();
     assert_eq!(list.pairs(), 0);
+}
+
+/// Particles of other kinds, as many as before, more and fewer: in the memory of a list, nothing of its particles is left.
+#[test]
+fn the_memory_of_a_list_serves_other_particles() {
+    let domain = square(1.0);
+    let mut rng = stream(4, "list");
+    let of = |tags: &[u8], own: &[bool], position: &[f64], old: Option<Neighbourhood<f64>>| {
+        let reach = Reach { tags, own, domain: &domain, cutoff: 0.8 * REACH, skin: 0.2 * REACH, ranks: None };
+        let mut list = old.unwrap_or_else(Neighbourhood::empty);
+        list.rebuild_of_others(&reach, &Arc::new(position.to_vec())).unwrap();
+        list
+    };
+    let (position, tags) = scatter::<f64>(&mut rng, &domain, 200);
+    let mut list = of(&tags, &[], &position, None);
+    for (n, has_copies) in [(200, false), (230, true), (230, false), (120, true), (200, false)] {
+        let (position, tags) = scatter::<f64>(&mut rng, &domain, n);
+        let own: Vec<bool> = if has_copies { (0..n).map(|i| i % 3 > 0).collect() } else { vec![] };
+        let fresh = of(&tags, &own, &position, None);
+        list = of(&tags, &own, &position, Some(list));
+        let (old, new) = (&*list.list, &*fresh.list);
+        assert_eq!((&old.count, &old.fluid_count, &old.own), (&new.count, &new.fluid_count, &new.own));
+        assert_eq!((&old.fluid_rows, &old.fluid_copies), (&new.fluid_rows, &new.fluid_copies));
+        assert_eq!(old.wall_rows, new.wall_rows);
+        for i in 0..n {
+            let count = new.count[i] as usize;
+            assert_eq!(old.row(i)[..count], new.row(i)[..count]);
+        }
+    }
 }
 
 #[test]

@@ -8,7 +8,8 @@ use hydrograd::numerics::krylov::gmres;
 use hydrograd::numerics::pool::Buffers;
 use hydrograd::numerics::ranks::{started, How, Ranks};
 use hydrograd::numerics::sparse_lu::BlockMatrix;
-use hydrograd::numerics::sweep::{clear, copied, copy, zeros, STRETCH};
+use hydrograd::numerics::sweep::{clear, copied, copy, run_each, zeros, Shared, STRETCH};
+use hydrograd::numerics::total::Total;
 use hydrograd::numerics::two_level::TwoLevel;
 use std::collections::BTreeSet;
 
@@ -205,4 +206,31 @@ fn groups_of_nodes_save_iterations() {
         assert!(large < small + 8, "{small} {large}");
         assert!(large_alone > small_alone + 8 && 3 * large < 2 * large_alone, "{small_alone} {large_alone} {large}");
     }
+}
+
+/// Terms of both signs over thirty orders of magnitude: the sum is that of whole numbers, forwards, backwards and in parts.
+#[test]
+fn a_total_does_not_depend_on_the_order() {
+    // Multiples of 2^-40 below 2^53 in size: i128 adds them without rounding.
+    let whole = |k: i64| -> i128 { i128::from(k * 7_919 % 1_000_003 - 500_000) << (k * 31 % 61) };
+    let scale = 0.5f64.powi(40);
+    let terms: Vec<f64> = (0..10_000).map(|k| whole(k) as f64 * scale).collect();
+    let exact = (0..10_000).map(whole).sum::<i128>() as f64 * scale;
+    let forwards: Total = terms.iter().copied().collect();
+    let backwards: Total = terms.iter().rev().copied().collect();
+    let parts = terms.chunks(333).map(|part| part.iter().copied().collect()).fold(Total::default(), Total::plus);
+    for total in [forwards, backwards, parts] {
+        assert_eq!(total.value(), exact);
+    }
+    assert_ne!(terms.iter().sum::<f64>(), exact, "terms whose plain sum is rounded");
+}
+
+/// Rows that are made by all threads, each once.
+#[test]
+fn every_row_is_made_once() {
+    let mut made = vec![0; 10_001];
+    let shared = Shared::new(&mut made);
+    // SAFETY: each row has its own place.
+    run_each(10_001, |row| unsafe { shared.set(row, shared.get(row) + row + 1) });
+    assert!(made.iter().enumerate().all(|(row, &made)| made == row + 1));
 }

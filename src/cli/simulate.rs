@@ -236,9 +236,14 @@ fn go<R: Sweeps>(
     let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
     let began = first.step;
     check_unfinished(began, &scene)?;
-    let start = {
-        let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first));
-        ParticleFields::of(&mut start?)?
+    // A start without a neighbour list is told before anything is written; only the report of a design asks for its fields.
+    let start = match (&scene.design, sharing) {
+        (None, Some(_)) => None,
+        (design, _) => {
+            let start = dynamics.start(&first).map_err(|error| divergence::told(&error, &scene.model, &first));
+            let mut start = start?;
+            design.as_ref().map(|_| ParticleFields::of(&mut start)).transpose()?
+        }
     };
     // Until no rank reads files of the folder any more.
     ranks.all(&[0.0]);
@@ -371,8 +376,8 @@ fn go<R: Sweeps>(
         pictures,
     };
     let measured = measurement.map(|it| it.diagnostics());
-    match (&scene.design, &measured) {
-        (Some(design), Some(measured)) => report_design(&finished, design, measured, &start)?,
+    match (&scene.design, &measured, &start) {
+        (Some(design), Some(measured), Some(start)) => report_design(&finished, design, measured, start)?,
         _ => report_flow(&finished, &scene.figures(&solver.state, scene.steps as f64 * dt), measured.as_ref())?,
     }
     page::write(folder)?;

@@ -20,4 +20,5 @@ pub mod streamlines;
 pub mod sweep;
 pub mod thread_pool;
 pub mod threads;
+pub mod total;
 pub mod two_level;

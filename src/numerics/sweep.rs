@@ -16,8 +16,8 @@ pub fn run_rows_alone<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) 
 
 /// Most threads that share a sweep; more would have nothing to do in the sizes that this program is for.
 const MOST_THREADS: usize = 64;
-/// Pieces that a thread's share is cut into, so that others can help it out.
-const PIECES: usize = 8;
+/// Pieces that a thread's share is cut into, so that others can help it out: at least and at most, and rows of a piece in between.
+const PIECES: (usize, usize, usize) = (8, 64, 256);
 
 /// Where a thread's share of the rows has got to. Alone on its cache lines.
 #[repr(align(128))]
@@ -32,6 +32,11 @@ pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
     deal(count, &|rows| run_rows_alone(kernel, rows));
 }
 
+/// Calls `each` for every row on all threads: for loops that move numbers and hardly compute.
+pub fn run_each(count: usize, each: impl Fn(usize) + Sync) {
+    deal(count, &|rows| rows.for_each(&each));
+}
+
 /// [`run_rows`], compiled once for all kernels.
 fn deal(count: usize, run: &(dyn Fn(Range<usize>) + Sync)) {
     let pool = ThreadPool::global();
@@ -39,8 +44,10 @@ fn deal(count: usize, run: &(dyn Fn(Range<usize>) + Sync)) {
     if threads == 1 {
         return run(0..count);
     }
-    let piece = count.div_ceil(threads * PIECES).max(1);
-    let share = piece * PIECES;
+    let (least, most, rows) = PIECES;
+    let pieces = (count / (threads * rows)).clamp(least, most);
+    let piece = count.div_ceil(threads * pieces).max(1);
+    let share = piece * pieces;
     let cursors: [Cursor; MOST_THREADS] = std::array::from_fn(|_| Cursor(AtomicUsize::new(0)));
     pool.run(&|thread| {
         for k in 0..threads {

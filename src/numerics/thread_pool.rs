@@ -16,8 +16,9 @@ use std::time::{Duration, Instant};
 
 /// How long a thread spins for the next sweep before it sleeps.
 const SPIN_FOR_WORK: Duration = Duration::from_micros(200);
-/// How long the caller spins for pieces that other threads have begun before it sleeps.
-const SPIN_FOR_END: Duration = Duration::from_micros(50);
+/// How long the caller spins for pieces that other threads have begun before it sleeps: so long, or so much of the time that it has worked
+/// itself, whichever is longer. Who takes longer has lost its core: a piece is a small part of that time.
+const SPIN_FOR_END: (Duration, u32) = (Duration::from_micros(50), 4);
 /// When no other thread has come for this long, the next sweeps are made alone.
 const PATIENCE: Duration = Duration::from_millis(1);
 /// How long sweeps are made alone: the first time, and, as it doubles each time, at most.
@@ -135,8 +136,9 @@ impl ThreadPool {
                 }
             }
         }
+        let began = Instant::now();
         let own = catch_unwind(AssertUnwindSafe(|| work(0)));
-        attendance.note(self.close());
+        attendance.note(self.close(began.elapsed()));
         drop(attendance);
         let other = lock(&self.panic).take();
         if let Some(panic) = own.err().or(other) {
@@ -144,14 +146,15 @@ impl ThreadPool {
         }
     }
 
-    /// Lets nobody join the sweep any more and waits for those who are at work.
-    fn close(&self) -> Part {
+    /// Lets nobody join the sweep any more and waits for those who are at work. The caller has worked for so long.
+    fn close(&self, worked: Duration) -> Part {
         let before = self.state.fetch_and(!OPEN, Ordering::AcqRel);
         let at_work = || self.state.load(Ordering::Acquire) & AT_WORK > 0;
         if before & CAME == 0 {
             return Part::Missed;
         }
-        if before & AT_WORK == 0 || spin_while(SPIN_FOR_END, at_work) {
+        let (least, part) = SPIN_FOR_END;
+        if before & AT_WORK == 0 || spin_while(least.max(worked / part), at_work) {
             return Part::Came;
         }
         *lock(&self.caller) = Some(std::thread::current());

@@ -3,6 +3,7 @@
 use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::error::NeighbourError;
+use crate::particles::reach::Bounds;
 use crate::particles::Domain;
 use std::ops::Range;
 
@@ -40,7 +41,12 @@ pub struct Runs {
 
 impl Geometry {
     /// Errors: a particle that is lost, a box too small.
-    pub fn new<R: Real>(position: &[R], n: usize, domain: &Domain, reach: f64) -> Result<Self, NeighbourError> {
+    pub fn new<R: Real>(
+        position: &[R],
+        n: usize,
+        domain: &Domain,
+        (reach, within): (f64, Option<Bounds>),
+    ) -> Result<Self, NeighbourError> {
         let mut geometry = Self {
             dimension: domain.dimension,
             reach,
@@ -73,8 +79,10 @@ impl Geometry {
                 }
                 domain.size[d]
             } else {
-                geometry.origin[d] = low.f64();
-                (high - low).f64().max(reach)
+                // What lies without goes into the cells at the edges.
+                let [low, high] = within.map_or([low.f64(), high.f64()], |within| within[d]);
+                geometry.origin[d] = low;
+                (high - low).max(reach)
             };
             // 1e-9: a particle exactly on the upper edge of an extent that is a multiple of the reach.
             geometry.cells[d] = ((extent / reach * (1.0 - 1e-9)) as usize).max(1);

@@ -14,6 +14,7 @@ use crate::numerics::lanes::{array, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::cells::{Cells, Geometry, Runs, ROW_MULTIPLE};
 use crate::particles::error::MOST_NEIGHBOURS;
+use crate::particles::reach::Bounds;
 use crate::particles::{tag, Domain};
 use candle_core::{DType, Device, Tensor};
 use std::ops::Range;
@@ -42,6 +43,8 @@ pub struct NeighbourList {
     pub fluid_copies: Vec<u32>,
     /// Wall particles with a fluid particle in reach: the rows of the wall extrapolation.
     pub wall_rows: Vec<u32>,
+    /// Bounds of the whole flow, if the particles are a part of it: cells begin there on every rank, so all find neighbours in the same order.
+    pub within: Option<Bounds>,
     /// What [`Self::tensors`] has made.
     pub made: Made,
 }
@@ -94,7 +97,15 @@ impl NeighbourList {
         Ok(list)
     }
 
-    /// [`Self::build`] in place: `tags` must be those of the first build.
+    /// Forgets all but the memory and the capacity: the next build may be of other particles.
+    pub fn forget(&mut self) {
+        self.particles = 0;
+        self.own.clear();
+        let Self { index, count, fluid_count, fluid_rows, fluid_copies, wall_rows, .. } = self;
+        [index, count, fluid_count, fluid_rows, fluid_copies, wall_rows].into_iter().for_each(Vec::clear);
+    }
+
+    /// [`Self::build`] in place: `tags` must be those of the first build, or of the first after [`Self::forget`].
     pub fn rebuild<R: Real>(
         &mut self,
         position: &[R],
@@ -106,21 +117,22 @@ impl NeighbourList {
         self.made = Made::default();
         let n = tags.len();
         let walls = |&i: &u32| tags[i as usize] != tag::FLUID;
-        if self.particles != n || self.count.len() != n {
+        let is_first = self.particles != n || self.count.len() != n;
+        if is_first {
             self.particles = n;
             self.count = vec![0; n];
             self.fluid_count = vec![0; n];
             let has_row = |&i: &u32| self.own.is_empty() || self.own[i as usize];
             (self.fluid_rows, self.fluid_copies) = (0..n as u32).filter(|i| !walls(i)).partition(has_row);
         }
-        let geometry = Geometry::new(position, n, domain, reach)?;
+        let geometry = Geometry::new(position, n, domain, (reach, self.within))?;
         if self.fluid_copies.is_empty() {
             workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
         } else {
             let all: Vec<u32> = (0..n as u32).filter(|i| !walls(i)).collect();
             workspace.fluid.fill(&geometry, position, n, &all);
         }
-        if workspace.wall.members.len() + workspace.fluid.members.len() != n {
+        if is_first {
             let all: Vec<u32> = (0..n as u32).filter(walls).collect();
             workspace.wall.fill(&geometry, position, n, &all);
         } else {

@@ -46,6 +46,14 @@ impl<R: Real> Neighbourhood<R> {
         self.rebuild_list(reach)
     }
 
+    /// Builds the list of other particles, in the old list's memory.
+    pub fn rebuild_of_others(&mut self, reach: &Reach, reference: &Arc<Vec<R>>) -> Result<(), NeighbourError> {
+        if let Some(list) = Arc::get_mut(&mut self.list) {
+            list.forget();
+        }
+        self.rebuild_at(reach, reference)
+    }
+
     /// Builds the list anew, likewise.
     fn rebuild(&mut self, reach: &Reach, position: &[R]) -> Result<(), NeighbourError> {
         let position = &position[..reach.domain.dimension * reach.tags.len()];
@@ -66,21 +74,22 @@ impl<R: Real> Neighbourhood<R> {
         }
         self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
-        if list.own.len() != reach.own.len() {
-            list.own = reach.own.to_vec();
+        list.within = reach.of_all(&self.reference);
+        if list.own.is_empty() {
+            list.own.extend_from_slice(reach.own);
         }
         list.rebuild(&self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)
     }
 
     /// Rebuilds the list if somebody has moved half the skin since it was built. Whether it does depends on the
-    /// positions and the reference only, so a replay does the same. `agree` maps the distance moved here to the largest one of all
-    /// ranks that have a part of the particles each; an infinite one is that of a rank that cannot go on.
+    /// positions and the reference only, so a replay does the same. Ranks that have a part of the particles each agree on it.
     ///
     /// # Errors
     /// Lost or clumped particles, a box too small; that another rank has them.
-    pub fn update(&mut self, reach: &Reach, position: &[R], agree: &dyn Fn(f64) -> f64) -> Result<(), NeighbourError> {
+    pub fn update(&mut self, reach: &Reach, position: &[R]) -> Result<(), NeighbourError> {
         let found = largest_move(reach, position, &self.reference);
-        let moved = agree(*found.as_ref().unwrap_or(&f64::INFINITY));
+        // A rank that cannot go on stops all.
+        let moved = reach.most(*found.as_ref().unwrap_or(&f64::INFINITY));
         found?;
         // One step never moves a particle that far unless the run has diverged.
         if moved > 0.5 * reach.cutoff {
@@ -91,7 +100,7 @@ impl<R: Real> Neighbourhood<R> {
             return Ok(());
         }
         let rebuilt = self.rebuild(reach, position);
-        let failed = agree(if rebuilt.is_ok() { 0.0 } else { f64::INFINITY });
+        let failed = reach.most(if rebuilt.is_ok() { 0.0 } else { f64::INFINITY });
         rebuilt?;
         match failed == 0.0 {
             true => Ok(()),

@@ -4,6 +4,7 @@ use super::domain::Images;
 use super::error::NeighbourError;
 use super::Domain;
 use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::ranks::Ranks;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -20,12 +21,45 @@ pub struct Reach<'a> {
     pub cutoff: f64,
     /// Extra reach of the list, which lets it serve several steps.
     pub skin: f64,
+    /// Who has the other particles of the flow, if these are a part of them. All ranks make their lists anew at the same time.
+    pub ranks: Option<&'a Ranks>,
+}
+
+/// Lowest and highest coordinates, in three directions.
+pub type Bounds = [[f64; 2]; 3];
+
+/// Bounds of some of the particles at positions `[D, N]`.
+pub fn bounds<R: Real>(positions: &[R], n: usize, some: impl Iterator<Item = usize>) -> Bounds {
+    let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
+    for i in some {
+        for (of, row) in bounds.iter_mut().zip(positions.chunks_exact(n)) {
+            let x = row[i].f64();
+            *of = [of[0].min(x), of[1].max(x)];
+        }
+    }
+    bounds
 }
 
 impl Reach<'_> {
     /// Cut-off and skin.
     pub fn distance(&self) -> f64 {
         self.cutoff + self.skin
+    }
+
+    /// The largest of the numbers of all ranks.
+    pub fn most(&self, own: f64) -> f64 {
+        self.ranks.map_or(own, |ranks| ranks.most(own))
+    }
+
+    /// Bounds of all particles of the flow at positions `[D, N]`, where these are a part of them.
+    pub fn of_all<R: Real>(&self, positions: &[R]) -> Option<Bounds> {
+        let n = self.tags.len();
+        let here = || bounds(positions, n, (0..n).filter(|&i| self.own[i]));
+        self.ranks.map(|ranks| {
+            let all = ranks.all(here().as_flattened());
+            let of = |k: usize| all.iter().skip(k).step_by(6).copied();
+            [0, 2, 4].map(|k| [of(k).fold(f64::INFINITY, f64::min), of(k + 1).fold(f64::NEG_INFINITY, f64::max)])
+        })
     }
 }
 

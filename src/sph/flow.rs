@@ -6,6 +6,7 @@ use super::rows::{Quantity, Rows};
 use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Buffers;
+use crate::numerics::total::Total;
 use crate::particles::{tag, Domain, Reach};
 use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::body_force::BodyForce;
@@ -137,7 +138,8 @@ impl<R> Flow<R> {
     /// What a neighbour search needs: tags, domain, cut-off and skin.
     pub fn reach(&self) -> Reach<'_> {
         let own = self.part.as_ref().map_or(&[][..], |part| &part.own);
-        Reach { tags: &self.tags, own, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin }
+        let ranks = self.part.as_ref().map(|part| &part.ranks);
+        Reach { tags: &self.tags, own, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin, ranks }
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == tag::FLUID
@@ -147,10 +149,14 @@ impl<R> Flow<R> {
         self.part.as_ref().is_none_or(|part| part.own[i])
     }
     /// Sums over own particles, added up over the ranks.
-    pub fn over_ranks<const K: usize>(&self, sums: [f64; K]) -> [f64; K] {
-        let Some(part) = &self.part else { return sums };
-        let all = part.ranks.sum(&sums);
-        std::array::from_fn(|k| all[k])
+    pub fn over_ranks<const K: usize>(&self, sums: [Total; K]) -> [f64; K] {
+        let Some(part) = &self.part else { return sums.map(Total::value) };
+        let own: Vec<f64> = sums.iter().flat_map(|total| [total.sum, total.lost]).collect();
+        let all = part.ranks.all(&own);
+        let of = |rank: &[f64], k: usize| Total { sum: rank[2 * k], lost: rank[2 * k + 1] };
+        std::array::from_fn(|k| {
+            all.chunks_exact(2 * K).map(|rank| of(rank, k)).fold(Total::default(), Total::plus).value()
+        })
     }
     pub fn has_walls(&self) -> bool {
         self.tags.iter().any(|&t| t != tag::FLUID)

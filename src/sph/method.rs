@@ -48,6 +48,12 @@ impl<R: 'static> Model<R> {
         self.0.clone().recorder(kernels)
     }
 
+    /// [`Self::of_type`], shared.
+    pub fn shared<M: Method<R>>(&self) -> Option<Arc<M>> {
+        let method: Arc<dyn Any + Send + Sync> = self.0.clone();
+        method.downcast().ok()
+    }
+
     /// The method as the concrete type `M`, or none if it is another method.
     pub fn of_type<M: Method<R>>(&self) -> Option<&M> {
         let method: &dyn Any = &*self.0;
@@ -190,10 +196,7 @@ impl<R: Real> Place<'_, R> {
     /// Particles that are lost or too fast.
     pub fn update(&mut self, flow: &Flow<R>, position: &[R]) -> Result<(), RunError> {
         let step = self.step;
-        // All ranks make their lists anew in the same step, or stop there.
-        let agree = |own: f64| flow.part.as_ref().map_or(own, |part| part.ranks.most(own));
-        let updated = self.neighbourhood.update(&flow.reach(), position, &agree);
-        updated.map_err(|source| RunError::Neighbours { step, source })
+        self.neighbourhood.update(&flow.reach(), position).map_err(|source| RunError::Neighbours { step, source })
     }
 
     /// [`Self::update`] for the positions of a state, which may be on any device.
@@ -227,6 +230,17 @@ pub struct Looked<R> {
     pub mass: Vec<R>,
     /// Temperature relative to the reference, `[N]`; empty without heat.
     pub temperature: Vec<R>,
+}
+
+impl<R> Looked<R> {
+    /// All fields, in their order.
+    pub fn fields(&self) -> [&[R]; 5] {
+        [&self.position, &self.velocity, &self.density, &self.mass, &self.temperature]
+    }
+
+    pub fn fields_mut(&mut self) -> [&mut Vec<R>; 5] {
+        [&mut self.position, &mut self.velocity, &mut self.density, &mut self.mass, &mut self.temperature]
+    }
 }
 
 /// The fields of a state as tensors, which are on candle's graph if the state is.
@@ -276,6 +290,10 @@ pub trait Worker<R>: Debug + Send {
     }
     /// Copies those results of the last step that its adjoint would otherwise recompute, see [`Method::remembered`].
     fn remember(&self, _to: &mut [R]) {}
+    /// Goes on with other particles as a new one of the same method, but in the memory that it has; false if it cannot.
+    fn reseat(&mut self, _model: &Model<R>) -> bool {
+        false
+    }
 }
 
 /// Makes steps on candle's graph, in its own buffers.

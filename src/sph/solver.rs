@@ -12,7 +12,7 @@ use crate::config::device::Compute;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::read;
 use crate::numerics::lanes::Real;
-use crate::particles::Neighbourhood;
+use crate::particles::{NeighbourList, Neighbourhood};
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
 
@@ -61,6 +61,8 @@ pub struct Solver<R> {
     pub drove: Option<f64>,
     /// Whether the list is not that of its reference.
     list_is_old: bool,
+    /// Whether [`Self::looked`] has the fields of the present state already, because several ranks have found them.
+    is_looked: bool,
     worker: Box<dyn Worker<R>>,
     /// Device of composed steps.
     device: Device,
@@ -78,10 +80,17 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// As for [`Self::new`].
     pub fn restore(model: impl Into<Model<R>>, snapshot: &Snapshot<R>) -> Result<Self, RunError> {
+        let mut new = Self::unlisted(model, snapshot);
+        new.build_list()?;
+        Ok(new)
+    }
+
+    /// [`Self::restore`], but for the neighbour list, which is built when somebody needs it.
+    pub(super) fn unlisted(model: impl Into<Model<R>>, snapshot: &Snapshot<R>) -> Self {
         let model = model.into();
-        let neighbourhood = Neighbourhood::build(&model.reach(), &snapshot.reference)
-            .map_err(|source| RunError::Neighbours { step: snapshot.step, source })?;
-        Ok(Self {
+        let mut neighbourhood = Neighbourhood::empty();
+        neighbourhood.reference = snapshot.reference.clone();
+        Self {
             worker: model.worker(),
             model,
             state: snapshot.state.clone(),
@@ -93,9 +102,25 @@ impl<R: Sweeps> Solver<R> {
             neighbourhood,
             looked: Looked::default(),
             drove: None,
-            list_is_old: false,
+            list_is_old: true,
+            is_looked: false,
             device: Device::Cpu,
-        })
+        }
+    }
+
+    /// Goes on with other particles, in the memory of these.
+    ///
+    /// # Errors
+    /// A state for which there is no neighbour list.
+    pub(super) fn reseat(&mut self, model: Model<R>, state: Vec<R>, reference: &Arc<Vec<R>>) -> Result<(), RunError> {
+        self.drove = Some(self.driving_force());
+        if !self.worker.reseat(&model) {
+            self.worker = model.worker();
+        }
+        (self.model, self.state) = (model, state);
+        (self.began_with, self.list_is_old, self.is_looked) = (None, false, false);
+        let built = self.neighbourhood.rebuild_of_others(&self.model.reach(), reference);
+        built.map_err(|source| RunError::Neighbours { step: self.step, source })
     }
 
     /// The same solver with its composed steps on a device.
@@ -131,6 +156,7 @@ impl<R: Sweeps> Solver<R> {
 
     fn advance_by(&mut self, make_part: fn(&mut Self) -> Result<(), RunError>) -> Result<(), RunError> {
         self.build_list()?;
+        self.is_looked = false;
         let parts = self.model.parts(&self.state).max(self.least_parts);
         for part in 0..parts {
             self.go_to_part(part, parts, make_part)?;
@@ -163,6 +189,14 @@ impl<R: Sweeps> Solver<R> {
     pub(super) fn forget_list(&mut self, reference: Arc<Vec<R>>) {
         self.neighbourhood.reference = reference;
         self.list_is_old = true;
+        self.is_looked = false;
+    }
+
+    /// Takes the fields of the present state, and the number of neighbours of each particle, from those who have found them.
+    pub(super) fn take_looked(&mut self, looked: Looked<R>, count: Vec<u32>) {
+        self.looked = looked;
+        self.neighbourhood.list = Arc::new(NeighbourList { count, ..NeighbourList::default() });
+        (self.list_is_old, self.is_looked) = (true, true);
     }
 
     /// Builds the neighbour list of [`Self::forget_list`].
@@ -211,6 +245,9 @@ impl<R: Sweeps> Solver<R> {
     /// # Errors
     /// Tensor errors, of a method that is composed of candle's operators.
     pub fn look(&mut self) -> Result<(), RunError> {
+        if self.is_looked {
+            return Ok(());
+        }
         self.build_list()?;
         let Self { model, state, step, pace, neighbourhood, worker, device, looked, .. } = self;
         let times = pace.times(model.dt, *step);
@@ -221,6 +258,10 @@ impl<R: Sweeps> Solver<R> {
     /// units of density * temperature * volume / time (times the heat capacity: power). With fits it is what conduction
     /// brings to that fluid, because the flux at the walls themselves is infinite at both ends of the hot section.
     pub fn wall_heat_flux(&mut self, until: f64) -> Result<f64, RunError> {
+        // It needs more than the fields.
+        if std::mem::take(&mut self.is_looked) {
+            self.look()?;
+        }
         let Self { model, state, step, pace, neighbourhood, worker, device, .. } = self;
         let times = pace.times(model.dt, *step);
         worker.wall_heat(&Place { neighbourhood, times, step: *step, parts: pace.parts, device }, state, until)

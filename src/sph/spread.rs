@@ -2,9 +2,9 @@
 //!
 //! A step on a rank is that of [`Solver`] on its part of the particles ([`super::part`]). Copies get their owners' state before every
 //! step, and what operators found for them within it before another operator reads that. Blocks ([`Decomposition`]) are those of the
-//! positions from which the neighbour list was built. All ranks build it anew in the same step, as soon as anywhere a particle has moved
-//! half the skin, and then particles that have left a block are handed over. Where a rank has come to have `UNEVEN` times as many
-//! particles as the mean, the box is cut anew.
+//! positions where particles were handed over last. All ranks build the neighbour list anew in the same step, as soon as anywhere a
+//! particle has moved half the skin, and after `LISTS` of them particles that have left a block are handed over. Where a rank has come
+//! to have `UNEVEN` times as many particles as the mean, the box is cut anew.
 //!
 //! On every rank particles are in the order of the whole flow, so sums over neighbours run in the same order as on one rank, but for
 //! rounding where cells of the neighbour search begin elsewhere. Sums over all particles are added in the order of the ranks.
@@ -13,7 +13,7 @@
 
 use super::dynamics::Sph;
 use super::flow::picked;
-use super::method::{Model, Sharing};
+use super::method::{Looked, Model, Sharing};
 use super::pace::Pace;
 use super::part::{Part, Traffic};
 use super::solver::{Snapshot, Solver};
@@ -25,15 +25,22 @@ use crate::error::BadInput;
 use crate::numerics::interrupt;
 use crate::numerics::ranks::Ranks;
 use crate::particles::decomposition::Decomposition;
+use crate::particles::neighbour_list::NeighbourError;
+use crate::particles::reach::{bounds, largest_move, Reach};
 use crate::report::memory::peak_memory_bytes;
 use crate::report::text::bytes;
 use serde::Serialize;
 use std::fmt;
 use std::sync::atomic::Ordering;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// The box is cut anew where a rank has more particles than the mean by this factor.
 const UNEVEN: f64 = 1.05;
+
+/// After how many neighbour lists particles are handed over: each needs copies half a skin further on both sides, and handing over takes
+/// about as long as a step.
+const LISTS: f64 = 4.0;
 
 /// What the first rank tells the others before a step.
 const GO_ON: f64 = 0.0;
@@ -55,9 +62,11 @@ pub struct Shares {
     /// How often particles were handed over, and how often the box was cut.
     pub handed_over: usize,
     pub cut: usize,
-    /// Most memory of a rank, and of the first one, which also has the whole flow.
-    pub most_bytes: f64,
+    /// Most memory of the first rank, which also has the whole flow, and of the others.
     pub first_rank_bytes: f64,
+    pub other_rank_bytes: f64,
+    /// Time of a step, of the slowest rank: computing, and waiting for what others send.
+    pub seconds_per_step: f64,
 }
 
 impl fmt::Display for Shares {
@@ -74,11 +83,12 @@ impl fmt::Display for Shares {
         )?;
         write!(
             out,
-            "particles were handed over {} times, the box was cut {} times; the first rank took {}, a rank at most {}",
+            "a step took {:.3} ms; particles were handed over {} times, the box was cut {} times; the first rank took {}, others at most {}",
+            1e3 * self.seconds_per_step,
             self.handed_over,
             self.cut,
             memory(self.first_rank_bytes),
-            memory(self.most_bytes)
+            memory(self.other_rank_bytes)
         )
     }
 }
@@ -99,6 +109,8 @@ pub(super) struct Seat<R> {
     decomposition: Decomposition,
     /// Number in the whole flow of each particle here, ascending.
     pub numbers: Vec<u32>,
+    /// Where they were, `[D, n]`.
+    pub reference: Arc<Vec<R>>,
     /// The flow of these particles.
     pub flow: Sph<R>,
 }
@@ -109,7 +121,6 @@ pub(super) struct Dealt<R> {
     /// The rank that each particle here came from.
     pub came_from: Vec<usize>,
     pub state: Vec<R>,
-    pub reference: Vec<R>,
     /// Whether the box was cut anew.
     is_cut: bool,
 }
@@ -121,8 +132,9 @@ pub struct Share<R> {
     pub(super) solver: Solver<R>,
     handed_over: usize,
     cut: usize,
-    /// The step at which the run began.
+    /// The step at which the run began, and the time that steps have taken since.
     began: usize,
+    seconds: f64,
 }
 
 /// How the particles of a model can be shared out.
@@ -150,15 +162,25 @@ fn place<R: Sweeps>(positions: &[R], n: usize, i: usize) -> [f64; 3] {
     [0, 1, 2].map(|d| positions.get(d * n + i).map_or(0.0, |x| x.f64()))
 }
 
-/// Lowest and highest coordinates, of three directions.
-fn bounds<R: Sweeps>(positions: &[R], dimension: usize) -> [[f64; 2]; 3] {
-    let n = positions.len() / dimension;
-    let mut bounds = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
-    for (place, x) in positions.iter().enumerate() {
-        let (of, x) = (&mut bounds[place / n], x.f64());
-        *of = [of[0].min(x), of[1].max(x)];
+/// Where a particle is found that a rank has after particles were handed over: at a place here, or in a record of another rank.
+enum Source {
+    Here(usize),
+    Record(usize),
+}
+
+/// The particles that stay and those of the records, by ascending number.
+fn merged(numbers: &[u32], stay: &[usize], records: &[(usize, &[f64])]) -> Vec<Source> {
+    let mut sources = Vec::with_capacity(stay.len() + records.len());
+    let mut next = 0;
+    for &i in stay {
+        while next < records.len() && records[next].1[0] < f64::from(numbers[i]) {
+            sources.push(Source::Record(next));
+            next += 1;
+        }
+        sources.push(Source::Here(i));
     }
-    bounds
+    sources.extend((next..records.len()).map(Source::Record));
+    sources
 }
 
 impl<R: 'static> Seat<R> {
@@ -180,21 +202,21 @@ impl<R: Sweeps> Terms<R> {
 
     /// The particles of this rank in the whole flow, which every rank has.
     pub fn first(&self, reference: &[R]) -> Arc<Seat<R>> {
-        let (n, d) = (self.whole.particles(), self.whole.dimension());
-        let bounds = bounds(reference, d);
+        let n = self.whole.particles();
+        let within = bounds(reference, n, 0..n);
         let alone = |numbers: &[f64]| numbers.to_vec();
         let (domain, ranks) = (&self.whole.domain, &self.ranks);
-        let decomposition = Decomposition::new(domain, bounds, ranks.size(), self.only, reference, &alone);
+        let decomposition = Decomposition::new(domain, within, ranks.size(), self.only, reference, &alone);
         let near = |&i: &u32| decomposition.is_near(ranks.rank(), place(reference, n, i as usize), self.reach);
         let numbers: Vec<u32> = (0..n as u32).filter(near).collect();
         let reference: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &numbers)).collect();
-        self.seat(decomposition, numbers, &reference)
+        self.seat(decomposition, numbers, reference)
     }
 
     /// Own particles and copies of this rank, whose list is built from `reference`.
-    fn seat(&self, decomposition: Decomposition, numbers: Vec<u32>, reference: &[R]) -> Arc<Seat<R>> {
+    fn seat(&self, decomposition: Decomposition, numbers: Vec<u32>, reference: Vec<R>) -> Arc<Seat<R>> {
         let (n, here, size) = (numbers.len(), self.ranks.rank(), self.ranks.size());
-        let places: Vec<[f64; 3]> = (0..n).map(|i| place(reference, n, i)).collect();
+        let places: Vec<[f64; 3]> = (0..n).map(|i| place(&reference, n, i)).collect();
         let owners: Vec<usize> = places.iter().map(|&place| decomposition.owner(place)).collect();
         let others = || (0..size).filter(|&rank| rank != here);
         let chosen = |is: &dyn Fn(usize) -> bool| (0..n as u32).filter(|&i| is(i as usize)).collect::<Vec<u32>>();
@@ -210,7 +232,8 @@ impl<R: Sweeps> Terms<R> {
             traffic: self.traffic.clone(),
         };
         let model = self.whole.of(&numbers, Arc::new(part)).expect("a model that can be shared out");
-        Arc::new(Seat { decomposition, numbers, flow: Sph::new(model, Kernels::Fused) })
+        let flow = Sph::new(model, Kernels::Fused);
+        Arc::new(Seat { decomposition, numbers, reference: Arc::new(reference), flow })
     }
 
     /// The record of a particle, which another rank reads.
@@ -242,6 +265,20 @@ impl<R: Sweeps> Terms<R> {
         1 + self.whole.rows.count() + self.whole.dimension()
     }
 
+    /// Whether particles must be handed over now that a list has been built from `reference`: before the next one is built, some may
+    /// come to have neighbours of which there are no copies.
+    ///
+    /// # Errors
+    /// Some have them now.
+    pub fn is_used_up(&self, seat: &Seat<R>, reference: &[R]) -> Result<bool, NeighbourError> {
+        let reach = seat.flow.model.reach();
+        let moved = self.ranks.most(largest_move(&reach, reference, &seat.reference).unwrap_or(f64::INFINITY));
+        if 2.0 * moved > LISTS * reach.skin + longest_step(&reach) {
+            return Err(NeighbourError::TooFast { particle: 0, distance: moved, cutoff: reach.cutoff });
+        }
+        Ok(2.0 * moved > (LISTS - 1.0) * reach.skin)
+    }
+
     /// Gives every particle to the rank in whose block it is, and copies of it to those near it. `reference` has the positions
     /// of the new neighbour list.
     pub fn hand_over(&self, seat: &Seat<R>, state: &[R], reference: &[R]) -> Dealt<R> {
@@ -252,20 +289,22 @@ impl<R: Sweeps> Terms<R> {
         let is_cut = counts.iter().any(|&count| count > UNEVEN * mean);
         let decomposition = if is_cut {
             let chosen: Vec<u32> = own.iter().map(|&i| i as u32).collect();
+            let within = seat.flow.model.reach().of_all(reference).expect("a part of a flow");
             let positions: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &chosen)).collect();
-            let d = self.whole.dimension();
-            let ends = bounds(&positions, d).map(|[low, high]| [-ranks.most(-low), ranks.most(high)]);
             let sum = |numbers: &[f64]| ranks.sum(numbers);
-            Decomposition::new(&self.whole.domain, ends, ranks.size(), self.only, &positions, &sum)
+            Decomposition::new(&self.whole.domain, within, ranks.size(), self.only, &positions, &sum)
         } else {
             seat.decomposition.clone()
         };
-        let mut to = vec![Vec::new(); ranks.size()];
+        let here = ranks.rank();
+        let (mut to, mut stay) = (vec![Vec::new(); ranks.size()], Vec::with_capacity(own.len()));
         for &i in &own {
             let place = place(reference, n, i);
             for (rank, to) in to.iter_mut().enumerate() {
-                if decomposition.is_near(rank, place, self.reach) {
-                    self.record(seat, state, reference, i, to);
+                match decomposition.is_near(rank, place, self.reach) {
+                    true if rank == here => stay.push(i),
+                    true => self.record(seat, state, reference, i, to),
+                    false => {}
                 }
             }
         }
@@ -275,15 +314,25 @@ impl<R: Sweeps> Terms<R> {
             records.extend(found.chunks_exact(width).map(|record| (from, record)));
         }
         records.sort_unstable_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
-        let rows = |from: usize, to: usize| -> Vec<R> {
-            (from..to).flat_map(|row| records.iter().map(move |(_, record)| R::of(record[row]))).collect()
+        let sources = merged(&seat.numbers, &stay, &records);
+        let rows = |old: &[R], from: usize| -> Vec<R> {
+            let mut new = Vec::with_capacity(old.len() / n * sources.len());
+            for (row, values) in old.chunks_exact(n).enumerate() {
+                new.extend(sources.iter().map(|source| match *source {
+                    Source::Here(i) => values[i],
+                    Source::Record(k) => R::of(records[k].1[from + row]),
+                }));
+            }
+            new
         };
-        let state_end = 1 + self.whole.rows.count();
-        let numbers: Vec<u32> = records.iter().map(|(_, record)| record[0] as u32).collect();
-        let (state, reference) = (rows(1, state_end), rows(state_end, width));
-        let came_from = records.iter().map(|(from, _)| *from).collect();
-        let seat = self.seat(decomposition, numbers, &reference);
-        Dealt { seat, came_from, state, reference, is_cut }
+        let (state, reference) = (rows(state, 1), rows(reference, 1 + self.whole.rows.count()));
+        let number = |source: &Source| match *source {
+            Source::Here(i) => (seat.numbers[i], here),
+            Source::Record(k) => (records[k].1[0] as u32, records[k].0),
+        };
+        let (numbers, came_from) = sources.iter().map(number).unzip();
+        let seat = self.seat(decomposition, numbers, reference);
+        Dealt { seat, came_from, state, is_cut }
     }
 }
 
@@ -292,10 +341,10 @@ impl<R: Sweeps> Share<R> {
     pub(super) fn new(terms: Arc<Terms<R>>, start: &Snapshot<R>) -> Result<Self, RunError> {
         let n = terms.whole.particles();
         let seat = terms.first(&start.reference);
-        let of = |rows: &[R]| rows.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
-        let at = Snapshot { state: of(&start.state), reference: Arc::new(of(&start.reference)), ..*start };
+        let state = start.state.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
+        let at = Snapshot { state, reference: seat.reference.clone(), ..*start };
         let solver = Solver::restore(seat.flow.model.clone(), &at)?;
-        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step })
+        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step, seconds: 0.0 })
     }
 
     /// What the first rank wants before the next step, and in how many parts that is made.
@@ -308,31 +357,31 @@ impl<R: Sweeps> Share<R> {
 
     /// Makes a step. All ranks fail in the same one, with the state as it was.
     pub(super) fn advance(&mut self, parts: usize) -> Result<(), RunError> {
+        let clock = Instant::now();
         for part in 0..parts {
             let list = self.solver.neighbourhood.identity;
             self.solver.make_part(part, parts)?;
-            match list == self.solver.neighbourhood.identity {
-                true => self.solver.model.clone().refresh(&mut self.solver.state),
-                false => self.hand_over()?,
+            let neighbourhood = &self.solver.neighbourhood;
+            let is_used_up = list != neighbourhood.identity && {
+                let step = self.solver.step;
+                let used_up = self.terms.is_used_up(&self.seat, &neighbourhood.reference);
+                used_up.map_err(|source| RunError::Neighbours { step, source })?
+            };
+            match is_used_up {
+                true => self.hand_over()?,
+                false => self.solver.model.clone().refresh(&mut self.solver.state),
             }
         }
         self.solver.step += 1;
+        self.seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }
 
     fn hand_over(&mut self) -> Result<(), RunError> {
         let old = &self.solver;
         let dealt = self.terms.hand_over(&self.seat, &old.state, &old.neighbourhood.reference);
-        let at = Snapshot {
-            step: old.step,
-            parts: old.pace.parts,
-            least_parts: old.least_parts,
-            state: dealt.state,
-            reference: Arc::new(dealt.reference),
-        };
-        let mut solver = Solver::restore(dealt.seat.flow.model.clone(), &at)?;
-        (solver.pace, solver.divided, solver.drove) = (old.pace, old.divided, Some(old.driving_force()));
-        (self.solver, self.seat) = (solver, dealt.seat);
+        self.solver.reseat(dealt.seat.flow.model.clone(), dealt.state, &dealt.seat.reference)?;
+        self.seat = dealt.seat;
         self.handed_over += 1;
         self.cut += usize::from(dealt.is_cut);
         Ok(())
@@ -352,31 +401,61 @@ impl<R: Sweeps> Share<R> {
         Ok(())
     }
 
-    /// Brings the whole flow up to date, which the first rank has.
-    fn show(&self, whole: Option<&mut Solver<R>>) {
-        let (terms, own) = (&self.terms, &self.solver);
+    /// Brings the whole flow up to date, which the first rank has; with its fields, which every rank finds for its particles,
+    /// if somebody looks at them.
+    fn show(&mut self, whole: Option<&mut Solver<R>>, looks: bool) -> Result<(), RunError> {
+        if looks {
+            self.solver.look()?;
+        }
+        let (terms, own, n_own) = (&self.terms, &self.solver, self.seat.numbers.len());
+        let fields = own.looked.fields();
         let mut to = vec![Vec::new(); terms.ranks.size()];
-        let reference = &own.neighbourhood.reference;
-        self.seat.own().for_each(|i| terms.record(&self.seat, &own.state, reference, i, &mut to[0]));
+        for i in self.seat.own() {
+            terms.record(&self.seat, &own.state, &own.neighbourhood.reference, i, &mut to[0]);
+            if looks {
+                to[0].push(f64::from(own.neighbourhood.list.count[i]));
+                to[0].extend(fields.iter().flat_map(|field| field.iter().skip(i).step_by(n_own)).map(|x| x.f64()));
+            }
+        }
         let found = terms.ranks.deal(to);
-        let Some(whole) = whole else { return };
+        let Some(whole) = whole else { return Ok(()) };
         let n = whole.model.particles();
-        let rows = terms.whole.rows.count();
-        let mut reference = vec![R::default(); terms.whole.dimension() * n];
-        for record in found.iter().flat_map(|of| of.chunks_exact(terms.width())) {
+        let (rows, dimensions) = (terms.whole.rows.count(), terms.whole.dimension());
+        let mut reference = vec![R::default(); dimensions * n];
+        let mut looked = Looked::default();
+        for (to, from) in looked.fields_mut().into_iter().zip(fields.iter().filter(|_| looks)) {
+            to.resize(from.len() / n_own * n, R::default());
+        }
+        let mut count = vec![0; if looks { n } else { 0 }];
+        let width =
+            terms.width() + if looks { 1 + fields.iter().map(|field| field.len() / n_own).sum::<usize>() } else { 0 };
+        for record in found.iter().flat_map(|of| of.chunks_exact(width)) {
             let i = record[0] as usize;
-            for (row, &value) in record[1..].iter().enumerate() {
-                match row < rows {
-                    true => whole.state[row * n + i] = R::of(value),
-                    false => reference[(row - rows) * n + i] = R::of(value),
-                }
+            let (state, rest) = record[1..].split_at(rows);
+            let (positions, rest) = rest.split_at(dimensions);
+            for (all, values) in [(&mut whole.state, state), (&mut reference, positions)] {
+                values.iter().enumerate().for_each(|(row, &value)| all[row * n + i] = R::of(value));
+            }
+            let Some((&neighbours, mut rest)) = rest.split_first() else { continue };
+            count[i] = neighbours as u32;
+            for field in looked.fields_mut() {
+                let (values, behind) = rest.split_at(field.len() / n);
+                values.iter().enumerate().for_each(|(row, &value)| field[row * n + i] = R::of(value));
+                rest = behind;
             }
         }
         (whole.step, whole.pace, whole.least_parts) = (own.step, own.pace, own.least_parts);
         (whole.divided, whole.drove) = (own.divided, Some(own.driving_force()));
-        if *whole.neighbourhood.reference != reference {
-            whole.forget_list(Arc::new(reference));
+        whole.forget_list(Arc::new(reference));
+        if looks {
+            whole.take_looked(looked, count);
         }
+        Ok(())
+    }
+
+    /// Waits until the first rank has looked at the whole flow: that is no time of a step.
+    fn wait(&self) {
+        self.terms.ranks.all(&[0.0]);
     }
 
     fn shares(&self) -> Shares {
@@ -385,8 +464,8 @@ impl<R: Sweeps> Share<R> {
         let sent = [&traffic.messages, &traffic.bytes].map(|of| of.load(Ordering::Relaxed) as f64 / steps);
         let taken = peak_memory_bytes() as f64;
         let copies = self.seat.numbers.len() - own;
-        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken]);
-        let each = |k: usize| all.iter().skip(k).step_by(5).copied();
+        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken, self.seconds / steps]);
+        let each = |k: usize| all.iter().skip(k).step_by(6).copied();
         let mean = |k: usize| each(k).sum::<f64>() / ranks.size() as f64;
         Shares {
             ranks: ranks.size(),
@@ -397,17 +476,22 @@ impl<R: Sweeps> Share<R> {
             bytes_per_step: mean(3),
             handed_over: self.handed_over,
             cut: self.cut,
-            most_bytes: each(4).fold(0.0, f64::max),
             first_rank_bytes: all[4],
+            other_rank_bytes: each(4).skip(1).fold(0.0, f64::max),
+            seconds_per_step: each(5).fold(0.0, f64::max),
         }
     }
 }
 
-/// Distance within which a rank needs copies of particles, by the positions of the last neighbour list: those of the next one may have
-/// moved half the skin, and a quarter of a spacing in the step that makes it, on both sides. (The kernel reaches about three spacings.)
+/// Distance within which a rank needs copies of particles where they were handed over: both may move until the last list is built.
 fn reach<R: Sweeps>(whole: &Model<R>, sharing: Sharing) -> f64 {
     let reach = whole.reach();
-    sharing.reaches as f64 * reach.distance() + reach.skin + reach.cutoff / 6.0
+    sharing.reaches as f64 * reach.distance() + LISTS * reach.skin + longest_step(&reach)
+}
+
+/// Twice the longest way of a particle in the step that builds a list: a quarter of a spacing. (The kernel reaches about three.)
+fn longest_step(reach: &Reach<'_>) -> f64 {
+    reach.cutoff / 6.0
 }
 
 /// [`crate::adjoint::run::run`] on the first of several ranks; the others [`follow`].
@@ -421,7 +505,7 @@ pub fn lead<R: Sweeps>(
     observers: &mut [&mut dyn Observer<Sph<R>>],
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<(Solver<R>, Shares)> {
-    let mut whole = dynamics.start(start)?;
+    let mut whole = Solver::unlisted(dynamics.model.clone(), start);
     let mut share = Share::new(Arc::new(Terms::new(dynamics.model.clone(), sharing, ranks)), start)?;
     loop {
         let stop = interrupt::check();
@@ -436,7 +520,7 @@ pub fn lead<R: Sweeps>(
         };
         let (_, parts) = share.agree(wanted);
         if is_seen {
-            share.show(Some(&mut whole));
+            share.show(Some(&mut whole), true)?;
             let shares = ends.then(|| share.shares());
             if is_checked {
                 dynamics.check(&whole)?;
@@ -448,10 +532,11 @@ pub fn lead<R: Sweeps>(
             if let Some(shares) = shares {
                 return Ok((whole, shares));
             }
+            share.wait();
         }
         if let Err(error) = share.advance(parts) {
             // One rank knows why, of a particle that has another number there: the same step of the whole flow tells.
-            share.show(Some(&mut whole));
+            share.show(Some(&mut whole), false)?;
             whole.advance()?;
             return Err(error.into());
         }
@@ -472,14 +557,17 @@ pub fn follow<R: Sweeps>(
     loop {
         let (wanted, parts) = share.agree(GO_ON);
         if wanted != GO_ON {
-            share.show(None);
+            share.show(None, true)?;
         }
         if wanted == END {
             share.shares();
             return Ok(());
         }
+        if wanted != GO_ON {
+            share.wait();
+        }
         if share.advance(parts).is_err() {
-            share.show(None);
+            share.show(None, false)?;
             return Ok(());
         }
     }

@@ -288,13 +288,18 @@ impl<R: Sweeps> Dynamics for Spread<R> {
         let list = tape.solver.neighbourhood.identity;
         let state = apply1(Begin(tape.seat.clone()), state).map_err(&failed)?;
         let next = tape.solver.advance(&state)?;
-        if list == tape.solver.neighbourhood.identity {
+        let (step, old) = (tape.solver.step, &tape.solver.neighbourhood);
+        let is_used_up = list != old.identity && {
+            let used_up = self.terms.is_used_up(&tape.seat, &old.reference);
+            used_up.map_err(|source| RunError::Neighbours { step, source })?
+        };
+        if !is_used_up {
             return apply1(Refresh(tape.seat.clone()), &next).map_err(failed);
         }
         let values: Vec<R> = next.flatten_all().and_then(|next| next.to_vec1()).map_err(&failed)?;
-        let dealt = self.terms.hand_over(&tape.seat, &values, &tape.solver.neighbourhood.reference);
-        let step = tape.solver.step;
-        let at = Snapshot { step, parts: 1, least_parts: 1, state: Vec::new(), reference: Arc::new(dealt.reference) };
+        let dealt = self.terms.hand_over(&tape.seat, &values, &old.reference);
+        let reference = dealt.seat.reference.clone();
+        let at = Snapshot { step, parts: 1, least_parts: 1, state: Vec::new(), reference };
         tape.solver = TensorSolver::restore(dealt.seat.flow.model.clone(), &at, Kernels::Fused)?;
         let before = std::mem::replace(&mut tape.seat, dealt.seat.clone());
         let (ranks, came_from, state) = (self.terms.ranks.clone(), dealt.came_from, Mutex::new(dealt.state));

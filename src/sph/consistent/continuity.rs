@@ -16,7 +16,8 @@ use super::kept::Kept;
 use super::kinds::{rows, PRESSURE};
 use super::stencil::monomials;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::numerics::sweep::{clear, run_each, run_rows, RowKernel, STRETCH};
+use crate::numerics::total::Total;
 use crate::sph::own::Own;
 use crate::sph::pairs::{get, stride, with_dimension, Records};
 use std::ops::Range;
@@ -171,28 +172,31 @@ fn pack<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], bar
     let q = monomials(d);
     let width = stride(record_fields(d));
     let volume = R::of((0..d).fold(1.0, |v, _| v * fits.spacing));
-    for (i, record) in records.chunks_exact_mut(width).enumerate() {
+    let records = Own::new(records);
+    run_each(n, |i| {
+        let set = |k: usize, value: R| records.set(i * width + k, value);
         for k in 0..d {
-            record[k] = known[k * n + i];
-            record[d + 2 + k] = R::default();
+            set(k, known[k * n + i]);
+            set(d + 2 + k, R::default());
         }
-        record[d] = known[l.pressure() * n + i];
+        set(d, known[l.pressure() * n + i]);
         // Dummy particles take part in the pressure's fit, points on the surface do not.
-        record[d + 1] = volume * fits.weights[4 * i + PRESSURE];
-        record[2 * d + 2] = R::default();
-    }
+        set(d + 1, volume * fits.weights[4 * i + PRESSURE]);
+        set(2 * d + 2, R::default());
+    });
     let scale = R::of(1.0 / fits.spacing);
-    for (place, i) in geometry.blocks.fluid.each() {
-        let at = Place::of::<R>(place, rows(d, fields));
-        let record = &mut records[i * width..][..width];
-        record[d + 1] = derivatives[at.row(fields * q)];
+    let fluid = &geometry.blocks.fluid;
+    run_each(fluid.places, |place| {
+        let (i, at) = (fluid.particle(place), Place::of::<R>(place, rows(d, fields)));
+        let set = |k: usize, value: R| records.set(i * width + k, value);
+        set(d + 1, derivatives[at.row(fields * q)]);
         for k in 0..d {
-            record[d + 2 + k] = derivatives[at.row(d * q + k)] * scale;
+            set(d + 2 + k, derivatives[at.row(d * q + k)] * scale);
         }
         if let Some(bar) = bar {
-            record[2 * d + 2] = bar[place];
+            set(2 * d + 2, bar[place]);
         }
-    }
+    });
 }
 
 /// What multiplies D_i in p'.
@@ -205,6 +209,22 @@ fn diffusion<R: Real>(geometry: &Geometry<'_, R>) -> R {
 fn stiffness<R: Real>(geometry: &Geometry<'_, R>) -> R {
     let fits = &geometry.model.fits;
     R::of(geometry.model.equation_of_state.reference_density * fits.sound_speed * fits.sound_speed)
+}
+
+/// The mean of a value over all fluid particles of the flow.
+fn mean<R: Real>(geometry: &Geometry<'_, R>, value: impl Fn(usize) -> R + Sync) -> R {
+    let fluid = &geometry.blocks.fluid;
+    let count = fluid.places.div_ceil(STRETCH);
+    let mut parts = vec![Total::default(); count];
+    let totals = Own::new(&mut parts);
+    run_each(count, |part| {
+        let places = part * STRETCH..fluid.places.min((part + 1) * STRETCH);
+        totals.set(part, places.map(|place| value(fluid.particle(place)).f64()).collect());
+    });
+    let sum = parts.into_iter().fold(Total::default(), Total::plus);
+    let count = Total { sum: fluid.places as f64, lost: 0.0 };
+    let [sum, count] = geometry.model.over_ranks([sum, count]);
+    R::of(sum / count.max(1.0))
 }
 
 /// known `[F, N]`, derivatives -> the new pressure `[1, N]`, 0 for walls.
@@ -239,23 +259,20 @@ pub fn forward<R: Real>(
     ));
     let (scale, dt) = (R::of(1.0 / fits.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
-    let mut mean = 0.0;
-    pressure.fill(R::default());
-    for (place, i) in fluid.each() {
-        let at = Place::of::<R>(place, rows(d, fields));
+    clear(pressure);
+    let pressures = Own::new(pressure);
+    run_each(fluid.places, |place| {
+        let (i, at) = (fluid.particle(place), Place::of::<R>(place, rows(d, fields)));
         let (mut divergence, mut carried) = (R::default(), R::default());
         for k in 0..d {
             divergence += derivatives[at.row(k * q + k)];
             carried += derivatives[at.row(fields * q + 1 + k)] * derivatives[at.row(d * q + k)];
         }
         let rate = (carried - stiffness * divergence) * scale + diffusion * sums[place];
-        let p = known[l.pressure() * n + i] + dt * rate;
-        mean += p.f64();
-        pressure[i] = p;
-    }
-    let [mean, count] = model.over_ranks([mean, fluid.places as f64]);
-    let mean = R::of(mean / count.max(1.0));
-    fluid.each().for_each(|(_, i)| pressure[i] -= mean);
+        pressures.set(i, known[l.pressure() * n + i] + dt * rate);
+    });
+    let mean = mean(geometry, |i| pressures.get(i));
+    run_each(fluid.places, |place| pressures.add(fluid.particle(place), -mean));
     model.refresh(pressure);
 }
 
@@ -275,26 +292,27 @@ pub fn backward<R: Real>(
     let q = monomials(d);
     let fluid = &geometry.blocks.fluid;
     let buffers = &model.scratch.buffers;
-    let mean = fluid.each().fold(0.0, |sum, (_, i)| sum + pressure_bar[i].f64());
-    let [mean, count] = model.over_ranks([mean, fluid.places as f64]);
-    let mean = R::of(mean / count.max(1.0));
+    let mean = mean(geometry, |i| pressure_bar[i]);
     let (scale, dt) = (R::of(1.0 / fits.spacing), R::of(geometry.times.now));
     let (diffusion, stiffness) = (diffusion(geometry), stiffness(geometry));
     let mut bar = buffers.buffer(fluid.blocks() * width::<R>());
-    bar.fill(R::default());
-    for (place, i) in fluid.each() {
-        let at = Place::of::<R>(place, rows(d, fields));
-        let p_bar = pressure_bar[i] - mean;
-        known_bar[l.pressure() * n + i] += p_bar;
-        let rate_bar = dt * p_bar;
-        bar[place] = diffusion * rate_bar;
-        let rate_bar = rate_bar * scale;
-        for k in 0..d {
-            derivatives_bar[at.row(k * q + k)] -= stiffness * rate_bar;
-            let (shift, slope) = (at.row(fields * q + 1 + k), at.row(d * q + k));
-            derivatives_bar[shift] += derivatives[slope] * rate_bar;
-            derivatives_bar[slope] += derivatives[shift] * rate_bar;
-        }
+    clear(&mut bar);
+    {
+        let (known_bar, derivatives_bar, bar) = (Own::new(known_bar), Own::new(derivatives_bar), Own::new(&mut bar));
+        run_each(fluid.places, |place| {
+            let (i, at) = (fluid.particle(place), Place::of::<R>(place, rows(d, fields)));
+            let p_bar = pressure_bar[i] - mean;
+            known_bar.add(l.pressure() * n + i, p_bar);
+            let rate_bar = dt * p_bar;
+            bar.set(place, diffusion * rate_bar);
+            let rate_bar = rate_bar * scale;
+            for k in 0..d {
+                derivatives_bar.add(at.row(k * q + k), -(stiffness * rate_bar));
+                let (shift, slope) = (at.row(fields * q + 1 + k), at.row(d * q + k));
+                derivatives_bar.add(shift, derivatives[slope] * rate_bar);
+                derivatives_bar.add(slope, derivatives[shift] * rate_bar);
+            }
+        });
     }
     let mut records = buffers.buffer(stride(record_fields(d)) * n);
     pack(geometry, known, derivatives, Some(&bar), &mut records);
@@ -314,13 +332,15 @@ pub fn backward<R: Real>(
         pass.mode = Mode::Solid;
         run_rows(&pass, geometry.blocks.solid.blocks());
     });
-    for (place, i) in fluid.each() {
+    let (known_bar, derivatives_bar) = (Own::new(known_bar), Own::new(derivatives_bar));
+    run_each(fluid.places, |place| {
         let (at, of) = (Place::of::<R>(place, rows(d, fields)), Place::of::<R>(place, 2 + 2 * d));
-        known_bar[l.pressure() * n + i] += sums[of.row(0)];
-        derivatives_bar[at.row(fields * q)] += sums[of.row(1)];
+        let i = fluid.particle(place);
+        known_bar.add(l.pressure() * n + i, sums[of.row(0)]);
+        derivatives_bar.add(at.row(fields * q), sums[of.row(1)]);
         for k in 0..d {
-            derivatives_bar[at.row(d * q + k)] += sums[of.row(2 + k)] * scale;
-            known_bar[k * n + i] += sums[of.row(2 + d + k)];
+            derivatives_bar.add(at.row(d * q + k), sums[of.row(2 + k)] * scale);
+            known_bar.add(k * n + i, sums[of.row(2 + d + k)]);
         }
-    }
+    });
 }

@@ -18,7 +18,7 @@ use super::kept::Kept;
 use super::kinds::{kind, rows, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::stencil::{accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, solve, values};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::numerics::sweep::{clear, run_each, run_rows, RowKernel};
 use crate::sph::own::Own;
 use crate::sph::pairs::{get, stride, vector, Records};
 use std::ops::Range;
@@ -227,14 +227,15 @@ pub(super) fn pack<R: Real>(geometry: &Geometry<'_, R>, position: &[R], fields: 
     let count = fields.len() / n;
     let stride = stride(d + count);
     records.resize(stride * n, R::default());
-    for (i, record) in records.chunks_exact_mut(stride).enumerate() {
+    let records = Own::new(records);
+    run_each(n, |i| {
         for k in 0..d {
-            record[k] = position[k * n + i];
+            records.set(i * stride + k, position[k * n + i]);
         }
         for k in 0..count {
-            record[d + k] = fields[k * n + i];
+            records.set(i * stride + d + k, fields[k * n + i]);
         }
-    }
+    });
 }
 
 /// Derivatives of fields `[fields, N]`, `[blocks, rows, width]`: of all of them with new matrices, or of the pressure alone
@@ -534,7 +535,7 @@ pub fn backward<R: Real>(
     let records = if count > 1 { &kept.records } else { &kept.pressure_records };
     let mut bars = buffers.buffer(stride(bar_fields(d, count)) * n);
     // Walls have no fit.
-    bars.fill(R::default());
+    clear(&mut bars);
     macro_rules! go {
         ($d:literal, $q:literal, $p:literal, $n:literal, $g:literal, $b:literal) => {{
             const { assert!(4 * $b == stride(bar_fields($d, $n)) && 4 * $g == stride($d + $n)) };

@@ -3,6 +3,7 @@
 use super::geometry::Geometry;
 use super::model::Consistent;
 use crate::numerics::lanes::Real;
+use crate::numerics::total::Total;
 use crate::particles::domain::wrapped;
 use crate::sph::laws::conduction;
 use crate::sph::laws::drive::Kick;
@@ -18,11 +19,11 @@ fn fluid<R: Real>(model: &Consistent<R>) -> impl Iterator<Item = usize> + '_ {
 fn found<R: Real>(geometry: &Geometry<'_, R>, masses: &[R], u: &[R]) -> Kick {
     let model = geometry.model;
     let Some(drive) = model.drive else { return Kick::default() };
-    let (mut momentum, mut mass) = (0.0, 0.0);
+    let (mut momentum, mut mass) = (Total::default(), Total::default());
     for i in fluid(model).filter(|&i| model.is_own(i)) {
         let m = masses[i].f64();
-        mass += m;
-        momentum += m * u[i].f64();
+        mass.add(m);
+        momentum.add(m * u[i].f64());
     }
     let [momentum, mass] = model.over_ranks([momentum, mass]);
     drive.kick(geometry.times.now, momentum, mass)
@@ -57,7 +58,7 @@ pub fn backward<R: Real>(
     let at = l.velocity() * n;
     let found = found(geometry, masses, &before[at..]);
     let own = fluid(model).filter(|&i| model.is_own(i));
-    let kick_bar: f64 = own.map(|i| bar[at + i].f64() + geometry.times.now * bar[i].f64()).sum();
+    let kick_bar: Total = own.map(|i| bar[at + i].f64() + geometry.times.now * bar[i].f64()).collect();
     let [kick_bar] = model.over_ranks([kick_bar]);
     let (by_momentum, by_mass) = (R::of(kick_bar * found.by_momentum), R::of(kick_bar * found.by_mass));
     for i in fluid(model) {

@@ -20,3 +20,14 @@ pub struct Kept<R> {
     /// For each particle of a chain, its place in the adjacent rows, where the next search begins.
     pub hints: Vec<u32>,
 }
+
+impl<R> Kept<R> {
+    /// Forgets all results, and keeps their memory.
+    pub fn clear(&mut self) {
+        let Self { records, pressure_records, value, slope, factors, wall_factors, wall_coefficients, .. } = self;
+        let fields = [records, pressure_records, value, slope, factors, wall_factors, wall_coefficients];
+        fields.into_iter().for_each(Vec::clear);
+        [&mut self.pressure_coefficients, &mut self.spread].into_iter().for_each(Vec::clear);
+        self.hints.clear();
+    }
+}

@@ -11,7 +11,9 @@ use super::stencil::monomials;
 use super::sweeps::Sweeps;
 use crate::numerics::candle::{apply1, apply2, apply3, Operator};
 use crate::numerics::lanes::Real;
+use crate::numerics::sweep::{self, copied, copy, run_each};
 use crate::sph::laws::conduction;
+use crate::sph::own::Own;
 use crate::sph::pace::TimeSteps;
 use candle_core::{Result, Shape, Tensor};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -57,7 +59,7 @@ impl<R: Real> Drop for Chain<R> {
 }
 
 fn zeros<R: Real>(shape: impl IntoIterator<Item = usize>) -> Vec<R> {
-    vec![R::default(); shape.into_iter().product()]
+    sweep::zeros(shape.into_iter().product())
 }
 
 /// Cotangents of an operator's inputs.
@@ -87,14 +89,14 @@ impl<R: Sweeps> Operator<1> for WallValues<R> {
     const NAME: &'static str = "wall values";
 
     fn forward(&self, [state]: [&[R]; 1], _: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
-        let mut known = state.to_vec();
+        let mut known = copied(state);
         self::known(&self.0.geometry(), &mut self.0.kept(), &mut known);
         refresh_known(&self.0.geometry(), &mut known);
         Ok((known, (self.0.state_rows(), self.0.model.particles()).into()))
     }
 
     fn adjoint(&self, _: [&[R]; 1], known: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
-        let mut state_bar = bar.to_vec();
+        let mut state_bar = copied(bar);
         known_bar(&self.0.geometry(), &self.0.kept(), known, &mut state_bar);
         Ok([Some(state_bar)])
     }
@@ -111,7 +113,7 @@ impl<R: Sweeps> Operator<1> for Derivatives<R> {
     }
 
     fn adjoint(&self, [known]: [&[R]; 1], derivatives: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
-        let (mut bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
+        let (mut bar, mut known_bar) = (copied(bar), zeros([known.len()]));
         R::derivatives_bar(&self.0.geometry(), &mut self.0.kept(), known, derivatives, &mut bar, &mut known_bar);
         Ok([Some(known_bar)])
     }
@@ -141,14 +143,14 @@ impl<R: Sweeps> Operator<2> for WallPressure<R> {
     const NAME: &'static str = "wall pressure";
 
     fn forward(&self, [known, pressure]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
-        let mut filled = pressure.to_vec();
+        let mut filled = copied(pressure);
         R::fill(&self.0.geometry(), known, &mut filled, &mut self.0.kept(), false);
         self.0.model.refresh_walls(&mut filled);
         Ok((filled, shapes[1].clone()))
     }
 
     fn adjoint(&self, [known, _]: [&[R]; 2], filled: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
-        let (mut pressure_bar, mut known_bar) = (bar.to_vec(), zeros([known.len()]));
+        let (mut pressure_bar, mut known_bar) = (copied(bar), zeros([known.len()]));
         R::fill_bar(&self.0.geometry(), known, filled, &self.0.kept(), false, &mut pressure_bar, &mut known_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
     }
@@ -167,7 +169,7 @@ impl<R: Sweeps> Operator<2> for PressureGradient<R> {
     fn adjoint(&self, [known, pressure]: [&[R]; 2], gradient: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
         let (mut known_bar, mut pressure_bar) = (zeros([known.len()]), zeros([pressure.len()]));
         let geometry = self.0.geometry();
-        let mut bar = bar.to_vec();
+        let mut bar = copied(bar);
         R::pressure_gradient_bar(&geometry, &self.0.kept(), gradient, &mut bar, &mut known_bar, &mut pressure_bar);
         Ok([Some(known_bar), Some(pressure_bar)])
     }
@@ -217,13 +219,13 @@ impl<R: Sweeps> Operator<2> for Drive<R> {
     const NAME: &'static str = "drive";
 
     fn forward(&self, [state, masses]: [&[R]; 2], shapes: [&Shape; 2]) -> Result<(Vec<R>, Shape)> {
-        let mut after = state.to_vec();
+        let mut after = copied(state);
         drive::forward(&self.0.geometry(), masses, &mut after);
         Ok((after, shapes[0].clone()))
     }
 
     fn adjoint(&self, [state, masses]: [&[R]; 2], after: &[R], bar: &[R], _: [bool; 2]) -> Bars<R, 2> {
-        let (mut state_bar, mut masses_bar) = (bar.to_vec(), zeros([masses.len()]));
+        let (mut state_bar, mut masses_bar) = (copied(bar), zeros([masses.len()]));
         drive::backward(&self.0.geometry(), masses, state, after, &mut state_bar, &mut masses_bar);
         Ok([Some(state_bar), Some(masses_bar)])
     }
@@ -347,10 +349,17 @@ pub struct Buffers<R> {
 }
 
 impl<R: Sweeps> Buffers<R> {
+    /// Forgets all fields, and keeps their memory.
+    pub fn clear(&mut self) {
+        let Self { known, derivatives, gradient, pressure, masses, kept } = self;
+        [known, derivatives, gradient, pressure, masses].into_iter().for_each(Vec::clear);
+        kept.clear();
+    }
+
     /// Computes `known` and the derivatives of a state.
     pub fn look(&mut self, geometry: &Geometry<'_, R>, state: &[R]) {
-        self.known.clear();
-        self.known.extend_from_slice(state);
+        self.known.resize(state.len(), R::default());
+        copy(state, &mut self.known);
         known(geometry, &mut self.kept, &mut self.known);
         refresh_known(geometry, &mut self.known);
         R::derivatives(geometry, &mut self.kept, &self.known, &mut self.derivatives);
@@ -426,9 +435,10 @@ pub fn pressure_gradient<R: Real>(
 ) {
     super::derivatives::forward(geometry, known, pressure, kept, gradient);
     let d = geometry.model.layout.dimension;
-    for (place, i) in geometry.blocks.fluid.each() {
-        gradient[Place::of::<R>(place, rows(d, 1)).row(monomials(d))] = pressure[i];
-    }
+    let (fluid, gradient) = (&geometry.blocks.fluid, Own::new(gradient));
+    run_each(fluid.places, |place| {
+        gradient.set(Place::of::<R>(place, rows(d, 1)).row(monomials(d)), pressure[fluid.particle(place)]);
+    });
 }
 
 /// The adjoint of [`pressure_gradient`]. It overwrites `bar`.
@@ -441,10 +451,14 @@ pub fn pressure_gradient_bar<R: Real>(
     pressure_bar: &mut [R],
 ) {
     let (n, d) = (geometry.model.particles(), geometry.model.layout.dimension);
-    for (place, i) in geometry.blocks.fluid.each() {
-        let at = Place::of::<R>(place, rows(d, 1)).row(monomials(d));
-        // The adjoint of the fits takes this row for the volume, which is not used here.
-        pressure_bar[i] += std::mem::take(&mut bar[at]);
+    {
+        let (fluid, bar, pressure_bar) = (&geometry.blocks.fluid, Own::new(bar), Own::new(pressure_bar));
+        run_each(fluid.places, |place| {
+            let at = Place::of::<R>(place, rows(d, 1)).row(monomials(d));
+            pressure_bar.add(fluid.particle(place), bar.get(at));
+            // The adjoint of the fits takes this row for the volume, which is not used here.
+            bar.set(at, R::default());
+        });
     }
     super::derivatives::backward(geometry, kept, gradient, bar, &mut known_bar[..d * n], pressure_bar);
 }

@@ -18,7 +18,7 @@ use super::kinds::rows;
 use super::layout::Layout;
 use super::stencil::monomials;
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::numerics::sweep::{run_each, run_rows, RowKernel};
 use crate::particles::Domain;
 use crate::sph::own::Own;
 use std::ops::Range;
@@ -124,19 +124,18 @@ pub fn forward<R: Real>(geometry: &Geometry<'_, R>, known: &[R], kept: &mut Kept
             kept.spread.resize(d * fluid.places, R::default());
             let factor = R::of(-isotropic.strength * fits.velocity * fits.spacing.powi(d as i32 + 1));
             let limit = R::of(isotropic.limit * fits.velocity);
-            for place in 0..fluid.places {
+            let (spread, shifts) = (Own::new(&mut kept.spread), Own::new(derivatives));
+            run_each(fluid.places, |place| {
                 let mut square = R::default();
                 for k in 0..d {
-                    let c = derivatives[row(place, k)];
-                    kept.spread[place * d + k] = c;
+                    let c = shifts.get(row(place, k));
+                    spread.set(place * d + k, c);
                     square += factor * c * factor * c;
                 }
                 let size = square.sqrt();
                 let factor = if size > limit { factor * limit / size } else { factor };
-                for k in 0..d {
-                    derivatives[row(place, k)] *= factor;
-                }
-            }
+                (0..d).for_each(|k| shifts.set(row(place, k), shifts.get(row(place, k)) * factor));
+            });
             push(geometry, isotropic, known, |place, k, push| derivatives[row(place, k)] += push);
         }
         Shift::Chain(chain) => {
@@ -206,7 +205,8 @@ pub fn backward<R: Real>(
     let mut given = vec![R::default(); known_bar.len()];
     add_back(geometry, known, kept, derivatives_bar, &mut given);
     part.give_back(&mut given[..geometry.model.layout.dimension * geometry.model.particles()]);
-    known_bar.iter_mut().zip(&given).for_each(|(to, given)| *to += *given);
+    let to = Own::new(known_bar);
+    run_each(given.len(), |place| to.add(place, given[place]));
 }
 
 fn add_back<R: Real>(
@@ -229,21 +229,23 @@ fn add_back<R: Real>(
             push_back(geometry, isotropic, known, |place, k| derivatives_bar[row(place, k)], known_bar);
             let factor = R::of(-isotropic.strength * fits.velocity * fits.spacing.powi(d as i32 + 1));
             let limit = R::of(isotropic.limit * fits.velocity);
-            for place in 0..fluid.places {
-                let c = &kept.spread[place * d..(place + 1) * d];
+            let (spread, shifts_bar) = (&kept.spread, Own::new(derivatives_bar));
+            run_each(fluid.places, |place| {
+                let c = &spread[place * d..(place + 1) * d];
+                let bar = |k: usize| shifts_bar.get(row(place, k));
                 let size = c.iter().map(|&c| factor * c * factor * c).sum::<R>().sqrt();
                 if size > limit {
                     // w = limit direction(c): only what is across c has a derivative.
-                    let along: R = (0..d).map(|k| derivatives_bar[row(place, k)] * c[k]).sum::<R>();
+                    let along: R = (0..d).map(|k| bar(k) * c[k]).sum::<R>();
                     let square: R = c.iter().map(|&c| c * c).sum();
                     for k in 0..d {
-                        let across = derivatives_bar[row(place, k)] - along * c[k] / square;
-                        derivatives_bar[row(place, k)] = factor * limit / size * across;
+                        let across = bar(k) - along * c[k] / square;
+                        shifts_bar.set(row(place, k), factor * limit / size * across);
                     }
                 } else {
-                    (0..d).for_each(|k| derivatives_bar[row(place, k)] *= factor);
+                    (0..d).for_each(|k| shifts_bar.set(row(place, k), bar(k) * factor));
                 }
-            }
+            });
         }
         Shift::Chain(chain) => {
             let at = Rows::new(geometry, chain, known);

@@ -12,7 +12,7 @@ use super::geometry::{Around, Geometry};
 use super::kept::Kept;
 use super::stencil::{accumulate, at, dot, factorise, packed, solve};
 use crate::numerics::lanes::{Lanes, Real};
-use crate::numerics::sweep::{run_rows, RowKernel};
+use crate::numerics::sweep::{clear, run_rows, RowKernel};
 use crate::sph::own::Own;
 use crate::sph::pairs::{get, stride, vector, Records};
 use std::ops::Range;
@@ -291,7 +291,7 @@ pub fn backward<R: Real>(
     geometry.model.refresh(fields_bar);
     let coefficients = if all { &kept.wall_coefficients } else { &kept.pressure_coefficients };
     let mut bar = buffers.buffer(coefficients.len());
-    bar.fill(R::default());
+    clear(&mut bar);
     let scale = R::of(1.0 / fits.spacing);
     for &(dummy, place) in &fits.dummies {
         let (i, place) = (dummy as usize, place as usize);
@@ -311,7 +311,7 @@ pub fn backward<R: Real>(
     let mut records = buffers.buffer(stride(d + count) * n);
     super::derivatives::pack(geometry, known, fields, &mut records);
     let mut bars = buffers.buffer(stride(2 * count * unknowns) * n);
-    bars.fill(R::default());
+    clear(&mut bars);
     macro_rules! go {
         ($d:literal, $k:literal, $p:literal, $n:literal, $g:literal, $b:literal) => {{
             const { assert!(4 * $g == stride($d + $n) && 4 * $b == stride(2 * $n * $k)) };

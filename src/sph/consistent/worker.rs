@@ -11,7 +11,7 @@ use crate::config::scene::Kernels;
 use crate::numerics::lanes::Real;
 use crate::particles::Neighbourhood;
 use crate::sph::masks::per_particle;
-use crate::sph::method::{Looked, Place, Recorder, Shown, Worker};
+use crate::sph::method::{Looked, Model, Place, Recorder, Shown, Worker};
 use candle_core::Tensor;
 use std::sync::Arc;
 
@@ -93,6 +93,14 @@ impl<R: Sweeps> Worker<R> for Run<R> {
     }
     fn drive(&self) -> Option<f64> {
         self.drive
+    }
+    fn reseat(&mut self, model: &Model<R>) -> bool {
+        let Some(model) = model.shared() else { return false };
+        self.model = model;
+        self.buffers.clear();
+        self.masses.clear();
+        self.masses.resize(self.model.particles(), R::default());
+        true
     }
 }
 

@@ -10,7 +10,7 @@ use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::read;
 use crate::numerics::sweep::copy;
-use crate::sph::method::{Looked, Place, Worker};
+use crate::sph::method::{Looked, Model, Place, Worker};
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
 
@@ -27,16 +27,18 @@ pub struct Buffers<R> {
 
 impl<R: Sweeps> Buffers<R> {
     pub fn new(model: Arc<Standard<R>>) -> Self {
-        let (n, l) = (model.particles(), model.layout);
-        let rows = |rows: usize| vec![R::default(); rows * n];
-        Self {
-            moved: rows(l.moved_rows()),
-            density: rows(1),
-            primitives: rows(if l.density { l.primitive_rows() } else { 0 }),
-            rates: rows(l.rate_rows()),
-            kept: PairCache::default(),
-            model,
-        }
+        let (moved, density, primitives, rates) = Default::default();
+        let mut new = Self { moved, density, primitives, rates, kept: PairCache::default(), model };
+        new.make_room();
+        new
+    }
+
+    fn make_room(&mut self) {
+        let (n, l) = (self.model.particles(), self.model.layout);
+        self.moved.resize(l.moved_rows() * n, R::default());
+        self.density.resize(n, R::default());
+        self.primitives.resize(if l.density { l.primitive_rows() * n } else { 0 }, R::default());
+        self.rates.resize(l.rate_rows() * n, R::default());
     }
 
     /// Density and, where the walls' are read, primitives of the moved state. (A step needs only the records.)
@@ -109,5 +111,16 @@ impl<R: Sweeps> Worker<R> for Buffers<R> {
     }
     fn remember(&self, to: &mut [R]) {
         copy(&self.density, to);
+    }
+    fn reseat(&mut self, model: &Model<R>) -> bool {
+        let Some(model) = model.shared() else { return false };
+        let PairCache { position, slope, records, .. } = std::mem::take(&mut self.kept);
+        self.kept = PairCache { position, slope, records, ..PairCache::default() };
+        let kept = [&mut self.kept.position, &mut self.kept.slope, &mut self.kept.records];
+        kept.into_iter().for_each(Vec::clear);
+        [&mut self.moved, &mut self.density, &mut self.primitives, &mut self.rates].into_iter().for_each(Vec::clear);
+        self.model = model;
+        self.make_room();
+        true
     }
 }
