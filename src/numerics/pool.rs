@@ -37,6 +37,16 @@ impl<T> Pool<T> {
     }
 }
 
+/// Brings numbers that are all written anew to a length. Where they have no room, there is some more in their place, but not twice as much as
+/// by `resize`, and never beside the old ones.
+pub fn fit<T: Copy + Default>(numbers: &mut Vec<T>, length: usize) {
+    if numbers.capacity() < length {
+        *numbers = Vec::new();
+        *numbers = Vec::with_capacity(length + length / 16);
+    }
+    numbers.resize(length, T::default());
+}
+
 /// Buffers of numbers.
 pub type Buffers<R> = Pool<Vec<R>>;
 
@@ -52,11 +62,8 @@ impl<R: Real> Buffers<R> {
         let numbers = place.map(|place| pile.swap_remove(place));
         drop(pile);
         let mut numbers = numbers.unwrap_or_default();
-        if numbers.capacity() < length {
-            // `resize` would double it, and a buffer twice as long is nobody's: the pile would grow with every step.
-            numbers = Vec::with_capacity(length + length / 16);
-        }
-        numbers.resize(length, R::default());
+        // A buffer twice as long would be nobody's: the pile would grow with every step.
+        fit(&mut numbers, length);
         Buffer { numbers, pool: self.clone() }
     }
 }

@@ -11,6 +11,7 @@
 
 use crate::numerics::gather::{sums_by_place, Gather};
 use crate::numerics::lanes::{array, Lanes, Real};
+use crate::numerics::pool::fit;
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::cells::{Cells, Geometry, Runs, ROW_MULTIPLE};
 use crate::particles::error::MOST_NEIGHBOURS;
@@ -140,7 +141,7 @@ impl NeighbourList {
         }
         self.capacity = self.capacity.max(ROW_MULTIPLE).next_multiple_of(ROW_MULTIPLE);
         loop {
-            self.index.resize(n * self.capacity, 0);
+            fit(&mut self.index, n * self.capacity);
             match geometry.dimension {
                 2 => self.sweep::<R, 2>(&geometry, workspace),
                 _ => self.sweep::<R, 3>(&geometry, workspace),

@@ -6,6 +6,7 @@
 //! neither happens, and a particle's sums run in the order of its neighbours whatever the instruction set is.
 
 use crate::numerics::lanes::{Lanes, Real, WIDEST};
+use crate::numerics::pool::fit;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::NeighbourList;
 use crate::sph::own::Own;
@@ -139,7 +140,7 @@ impl Table {
         let width = width::<R>();
         let most = self.members[..self.places].iter().map(|&i| part(list, i as usize).len()).max().unwrap_or(0);
         self.capacity = self.capacity.max(most.next_multiple_of(4));
-        self.index.resize(self.members.len() * self.capacity, 0);
+        fit(&mut self.index, self.members.len() * self.capacity);
         let blocks = self.blocks();
         let filling = Filling {
             list,

@@ -18,6 +18,7 @@ use super::kept::Kept;
 use super::kinds::{kind, rows, KINDS, NO_FLUX, PRESSURE, TEMPERATURE};
 use super::stencil::{accumulate, along, dot, factorise, monomials, packed, pull_back, pull_back_along, solve, values};
 use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::pool::fit;
 use crate::numerics::sweep::{clear, run_each, run_rows, RowKernel};
 use crate::sph::own::Own;
 use crate::sph::pairs::{get, stride, vector, Records};
@@ -253,8 +254,8 @@ pub fn forward<R: Real>(
     let records = if first { &mut kept.records } else { &mut kept.pressure_records };
     pack(geometry, position, fields, records);
     if first {
-        kept.value.resize(geometry.blocks.fluid.pairs(), R::default());
-        kept.slope.resize(geometry.blocks.fluid.pairs(), R::default());
+        fit(&mut kept.value, geometry.blocks.fluid.pairs());
+        fit(&mut kept.slope, geometry.blocks.fluid.pairs());
         kept.factors.resize(blocks * KINDS * packed(monomials(d)) * width::<R>(), R::default());
     }
     derivatives.resize(blocks * rows(d, count) * width::<R>(), R::default());

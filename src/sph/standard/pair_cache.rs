@@ -1,6 +1,7 @@
 //! Results that the sweeps of one step share.
 
 use crate::numerics::lanes::Real;
+use crate::numerics::pool::fit;
 use crate::particles::NeighbourList;
 use crate::sph::flow::Flow;
 use crate::sph::pairs::{pack_positions, stride, Records};
@@ -25,7 +26,7 @@ impl<R: Real> PairCache<R> {
     /// Packs the positions and makes room for F. The first sweep of a step calls it.
     pub fn make_room(&mut self, flow: &Flow<R>, list: &NeighbourList, moved: &[R]) {
         pack_positions(flow, moved, None, &mut self.position);
-        self.slope.resize(list.index.len(), R::default());
+        fit(&mut self.slope, list.index.len());
         self.has_pairs = true;
     }
     /// Positions and records of so many particles.
