@@ -37,12 +37,13 @@ impl<T> Pool<T> {
     }
 }
 
-/// Brings numbers that are all written anew to a length. Where they have no room, there is some more in their place, but not twice as much as
-/// by `resize`, and never beside the old ones.
+/// Brings numbers that are all written anew to a length. Where they have too little room, they get a sixteenth more than they need in its place,
+/// not twice as much beside it as by `resize`.
 pub fn fit<T: Copy + Default>(numbers: &mut Vec<T>, length: usize) {
     if numbers.capacity() < length {
+        let more = if numbers.capacity() > 0 { length / 16 } else { 0 };
         *numbers = Vec::new();
-        *numbers = Vec::with_capacity(length + length / 16);
+        *numbers = Vec::with_capacity(length + more);
     }
     numbers.resize(length, T::default());
 }
@@ -62,8 +63,11 @@ impl<R: Real> Buffers<R> {
         let numbers = place.map(|place| pile.swap_remove(place));
         drop(pile);
         let mut numbers = numbers.unwrap_or_default();
-        // A buffer twice as long would be nobody's: the pile would grow with every step.
-        fit(&mut numbers, length);
+        if numbers.capacity() < length {
+            // `resize` would double it, and a buffer twice as long is nobody's: the pile would grow with every step.
+            numbers = Vec::with_capacity(length + length / 16);
+        }
+        numbers.resize(length, R::default());
         Buffer { numbers, pool: self.clone() }
     }
 }

@@ -156,6 +156,7 @@ impl NeighbourList {
             }
             // Grown with some room, so that the next builds fit at once.
             self.capacity = (most + 4).next_multiple_of(ROW_MULTIPLE);
+            self.index = Vec::new();
         }
         self.wall_rows.clear();
         let count = &self.count;
