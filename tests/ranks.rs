@@ -353,8 +353,8 @@ fn checked(ranks: usize, scene: &str, out: &Path) -> serde_json::Value {
     serde_json::from_str(&std::fs::read_to_string(out.join("gradient_check.json")).unwrap()).unwrap()
 }
 
-/// Runs long enough that particles are handed over (in every second step of the channel). Every kind of shift, both methods, a drive, both precisions, segments and
-/// recomputed states, two and three dimensions.
+/// Runs long enough that particles are handed over (in every second step of the channel). Every kind of shift, both methods, a drive, both
+/// precisions, segments and recomputed states, two and three dimensions.
 const GRADIENTS: [&str; 10] = [
     "heated-channel --steps 30",
     "heated-channel --steps 80 --memory 5MB",

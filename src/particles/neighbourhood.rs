@@ -74,7 +74,7 @@ impl<R: Real> Neighbourhood<R> {
         }
         self.identity = BUILT.fetch_add(1, Ordering::Relaxed);
         let list = Arc::get_mut(&mut self.list).expect("just made, or nobody else's");
-        list.within = reach.of_all(&self.reference);
+        list.within = reach.bounds_of_all(&self.reference);
         if list.own.is_empty() {
             list.own.extend_from_slice(reach.own);
         }

@@ -52,7 +52,7 @@ impl Reach<'_> {
     }
 
     /// Bounds of all particles of the flow at positions `[D, N]`, where these are a part of them.
-    pub fn of_all<R: Real>(&self, positions: &[R]) -> Option<Bounds> {
+    pub fn bounds_of_all<R: Real>(&self, positions: &[R]) -> Option<Bounds> {
         let n = self.tags.len();
         let here = || bounds(positions, n, (0..n).filter(|&i| self.own[i]));
         self.ranks.map(|ranks| {

@@ -27,6 +27,7 @@ use crate::numerics::ranks::Ranks;
 use crate::particles::decomposition::Decomposition;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::reach::{bounds, largest_move, Reach};
+use crate::particles::Neighbourhood;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::text::bytes;
 use serde::Serialize;
@@ -265,16 +266,26 @@ impl<R: Sweeps> Terms<R> {
         1 + self.whole.rows.count() + self.whole.dimension()
     }
 
-    /// Whether particles must be handed over now that a list has been built from `reference`: before the next one is built, some may
-    /// come to have neighbours of which there are no copies.
+    /// Whether particles must be handed over after step number `step`, which began with the list of that identity: if it has built one,
+    /// before the next one is built some may come to have neighbours of which there are no copies.
     ///
     /// # Errors
     /// Some have them now.
-    pub fn is_used_up(&self, seat: &Seat<R>, reference: &[R]) -> Result<bool, NeighbourError> {
+    pub fn is_used_up(
+        &self,
+        seat: &Seat<R>,
+        began_with: u64,
+        now: &Neighbourhood<R>,
+        step: usize,
+    ) -> Result<bool, RunError> {
+        if now.identity == began_with {
+            return Ok(false);
+        }
         let reach = seat.flow.model.reach();
-        let moved = self.ranks.most(largest_move(&reach, reference, &seat.reference).unwrap_or(f64::INFINITY));
+        let moved = self.ranks.most(largest_move(&reach, &now.reference, &seat.reference).unwrap_or(f64::INFINITY));
         if 2.0 * moved > LISTS * reach.skin + longest_step(&reach) {
-            return Err(NeighbourError::TooFast { particle: 0, distance: moved, cutoff: reach.cutoff });
+            let source = NeighbourError::TooFast { particle: 0, distance: moved, cutoff: reach.cutoff };
+            return Err(RunError::Neighbours { step, source });
         }
         Ok(2.0 * moved > (LISTS - 1.0) * reach.skin)
     }
@@ -289,7 +300,7 @@ impl<R: Sweeps> Terms<R> {
         let is_cut = counts.iter().any(|&count| count > UNEVEN * mean);
         let decomposition = if is_cut {
             let chosen: Vec<u32> = own.iter().map(|&i| i as u32).collect();
-            let within = seat.flow.model.reach().of_all(reference).expect("a part of a flow");
+            let within = seat.flow.model.reach().bounds_of_all(reference).expect("a part of a flow");
             let positions: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &chosen)).collect();
             let sum = |numbers: &[f64]| ranks.sum(numbers);
             Decomposition::new(&self.whole.domain, within, ranks.size(), self.only, &positions, &sum)
@@ -361,13 +372,7 @@ impl<R: Sweeps> Share<R> {
         for part in 0..parts {
             let list = self.solver.neighbourhood.identity;
             self.solver.make_part(part, parts)?;
-            let neighbourhood = &self.solver.neighbourhood;
-            let is_used_up = list != neighbourhood.identity && {
-                let step = self.solver.step;
-                let used_up = self.terms.is_used_up(&self.seat, &neighbourhood.reference);
-                used_up.map_err(|source| RunError::Neighbours { step, source })?
-            };
-            match is_used_up {
+            match self.terms.is_used_up(&self.seat, list, &self.solver.neighbourhood, self.solver.step)? {
                 true => self.hand_over()?,
                 false => self.solver.model.clone().refresh(&mut self.solver.state),
             }

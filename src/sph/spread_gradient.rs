@@ -289,11 +289,7 @@ impl<R: Sweeps> Dynamics for Spread<R> {
         let state = apply1(Begin(tape.seat.clone()), state).map_err(&failed)?;
         let next = tape.solver.advance(&state)?;
         let (step, old) = (tape.solver.step, &tape.solver.neighbourhood);
-        let is_used_up = list != old.identity && {
-            let used_up = self.terms.is_used_up(&tape.seat, &old.reference);
-            used_up.map_err(|source| RunError::Neighbours { step, source })?
-        };
-        if !is_used_up {
+        if !self.terms.is_used_up(&tape.seat, list, old, step)? {
             return apply1(Refresh(tape.seat.clone()), &next).map_err(failed);
         }
         let values: Vec<R> = next.flatten_all().and_then(|next| next.to_vec1()).map_err(&failed)?;

@@ -23,6 +23,12 @@ pub struct PairCache<R> {
 }
 
 impl<R: Real> PairCache<R> {
+    /// Forgets all results, and keeps their memory.
+    pub fn clear(&mut self) {
+        let Self { position, slope, records, has_pairs, has_fluid_records } = self;
+        [position, slope, records].into_iter().for_each(Vec::clear);
+        (*has_pairs, *has_fluid_records) = (false, false);
+    }
     /// Packs the positions and makes room for F. The first sweep of a step calls it.
     pub fn make_room(&mut self, flow: &Flow<R>, list: &NeighbourList, moved: &[R]) {
         pack_positions(flow, moved, None, &mut self.position);

@@ -114,10 +114,7 @@ impl<R: Sweeps> Worker<R> for Buffers<R> {
     }
     fn reseat(&mut self, model: &Model<R>) -> bool {
         let Some(model) = model.shared() else { return false };
-        let PairCache { position, slope, records, .. } = std::mem::take(&mut self.kept);
-        self.kept = PairCache { position, slope, records, ..PairCache::default() };
-        let kept = [&mut self.kept.position, &mut self.kept.slope, &mut self.kept.records];
-        kept.into_iter().for_each(Vec::clear);
+        self.kept.clear();
         [&mut self.moved, &mut self.density, &mut self.primitives, &mut self.rates].into_iter().for_each(Vec::clear);
         self.model = model;
         self.make_room();
