@@ -6,7 +6,7 @@ use hydrograd::io::csv::{read_columns, write_columns, write_table, Cell};
 use hydrograd::io::state_file::{read_state, write_state, State};
 use hydrograd::io::tensor_file::{write_tensors, Data, TensorFile, Tensors};
 use hydrograd::io::tensorboard::EventFile;
-use hydrograd::io::vtk::{read_list, read_vtp, write_vtp, ParticleFrame, Precision, VtkSeries};
+use hydrograd::io::vtk::{read_frame, read_list, read_vtp, write_vtp, ParticleFrame, Precision, VtkSeries};
 use hydrograd::io::{hdf5_file, FileError};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -121,6 +121,7 @@ fn frame<'a>() -> ParticleFrame<'a> {
         velocity: &VELOCITY,
         scalars: &[("temperature", &TEMPERATURE)],
         tag: &[0, 1, 3],
+        number: &[],
     }
 }
 
@@ -213,6 +214,46 @@ fn particle_files_are_read_as_they_were_written() -> TestResult {
         std::fs::write(&path, &whole[..length])?;
         message(read_vtp(&path), &["a&b_000000.vtp", "not a readable VTK file"]);
     }
+    Ok(())
+}
+
+/// Two processes write a frame: it is read as one of all particles, in the order of their numbers.
+#[test]
+fn pieces_are_read_as_one_frame() -> TestResult {
+    let folder = tempfile::tempdir()?;
+    let numbers = [[2, 0], [1, 3]];
+    let positions = [[2.0, 0.0, 2.5, 0.5], [1.0, 3.0, 1.5, 3.5]];
+    let temperatures = [[20.0, 0.25], [10.0, 30.0]];
+    let tags = [[2, 0], [1, 3]];
+    let mut both = [VtkSeries::new(folder.path(), "a&b")?, VtkSeries::new(folder.path(), "a&b")?];
+    for time in [0.25, 0.5] {
+        let scalars = temperatures.each_ref().map(|of| [("temperature", of.as_slice())]);
+        let frame = |k: usize| ParticleFrame {
+            dimension: 2,
+            time,
+            position: &positions[k],
+            velocity: &[],
+            scalars: &scalars[k],
+            tag: &tags[k],
+            number: &numbers[k],
+        };
+        for (k, series) in both.iter().enumerate() {
+            series.write_piece(&frame(k), k)?;
+        }
+        for (k, series) in both.iter_mut().enumerate() {
+            series.join(&frame(k), 2, k == 0)?;
+        }
+    }
+    let frames = read_list(&both[0].list_path())?;
+    let names = ["a&b_000000.pvtp", "a&b_000001.pvtp"].map(|name| folder.path().join(name));
+    assert_eq!(frames.iter().map(|(_, path)| path).collect::<Vec<_>>(), names.iter().collect::<Vec<_>>());
+    let found = read_frame(&names[1])?;
+    assert_eq!(found.position, [[0.0, 0.5, 0.0], [1.0, 1.5, 0.0], [2.0, 2.5, 0.0], [3.0, 3.5, 0.0]]);
+    assert_eq!((&found.scalars["temperature"][..], &found.tag[..]), (&[0.25, 10.0, 20.0, 30.0][..], &[0, 1, 2, 3][..]));
+    assert!(found.velocity.is_empty() && found.number == [0, 1, 2, 3]);
+    // A piece that is gone is named.
+    std::fs::remove_file(folder.path().join("a&b_000001_1.vtp"))?;
+    message(read_frame(&names[1]), &["a&b_000001_1.vtp"]);
     Ok(())
 }
 

@@ -3,6 +3,7 @@
 use hydrograd::numerics::lanes::Real;
 use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::particles::neighbour_list::NeighbourError;
+use hydrograd::particles::neighbourhood::Copied;
 use hydrograd::particles::{tag, Domain, NeighbourList, Neighbourhood, Reach};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
@@ -129,7 +130,8 @@ fn the_memory_of_a_list_serves_other_particles() {
     let of = |tags: &[u8], own: &[bool], position: &[f64], old: Option<Neighbourhood<f64>>| {
         let reach = Reach { tags, own, domain: &domain, cutoff: 0.8 * REACH, skin: 0.2 * REACH, ranks: None };
         let mut list = old.unwrap_or_else(Neighbourhood::empty);
-        list.rebuild_of_others(&reach, &Arc::new(position.to_vec())).unwrap();
+        list.take_others(Copied { at: Arc::new(position.to_vec()), serves: REACH });
+        list.update(&reach, position).unwrap();
         list
     };
     let (position, tags) = scatter::<f64>(&mut rng, &domain, 200);

@@ -3,6 +3,7 @@
 
 use crate::support::program::succeeds;
 use hydrograd::io::tensor_file::TensorFile;
+use hydrograd::io::vtk::{read_frame, read_list, read_vtp};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -160,7 +161,7 @@ fn a_killed_rank_ends_the_others() {
     let took = clock.elapsed();
     assert!(took < Duration::from_secs(10) && !output.status.success(), "{took:?}, {:?}", output.status);
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(said.contains("signal 9"), "{said}");
+    assert!(said.contains("signal 9") && said.contains("go on from what was kept last: hydrograd train"), "{said}");
     let steps: u64 = TensorFile::read(&killed.join("last.safetensors")).unwrap().text("step").unwrap().parse().unwrap();
     assert!(steps.is_multiple_of(20) && steps > 0, "{steps}");
     let end = (steps + 10).to_string();
@@ -323,7 +324,10 @@ fn a_flow_that_ended_early_goes_on() {
         let (took, said) = (clock.elapsed(), String::from_utf8_lossy(&output.stderr));
         assert!(took < Duration::from_secs(20) && !output.status.success(), "{end}: {took:?}, {said}");
         match end {
-            "killed" => assert!(said.contains("signal 9"), "{said}"),
+            "killed" => {
+                let told = "go on from what was kept last: hydrograd simulate --resume";
+                assert!(said.contains("signal 9") && said.matches(told).count() == 1, "{said}");
+            }
             "stopped" => assert_eq!(said.matches("keeps what there is").count(), 1, "one rank speaks: {said}"),
             _ => {
                 assert_eq!((output.status.code(), said.matches("error: ").count()), (Some(1), 1), "{said}");
@@ -335,6 +339,69 @@ fn a_flow_that_ended_early_goes_on() {
         let until = 0.0005 * (kept + 20.0);
         simulated(3, &format!("--resume {} --set time.end={until}", out.display()), &out);
         assert_eq!(steps(), (kept + 20.0).to_string());
+    }
+}
+
+/// Frames in pieces, one of every rank, are those of one process: the same particles in the same order.
+#[test]
+fn frames_are_written_in_pieces() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = "heated-channel --set time.steps=40 --set objective.window=0.01 --set output.frames=4";
+    let frames = |ranks: usize, name: &str| {
+        let out = folder.path().join(name);
+        simulated(ranks, scene, &out);
+        let list = read_list(&out.join("particles/particles.pvd")).unwrap();
+        list.into_iter().map(|(time, path)| (time, read_frame(&path).unwrap(), path)).collect::<Vec<_>>()
+    };
+    let (alone, shared) = (frames(0, "alone"), frames(3, "shared"));
+    assert_eq!((alone.len(), shared.len()), (5, 5));
+    for ((time, whole, _), (shared_time, joined, path)) in alone.iter().zip(&shared) {
+        assert_eq!(time, shared_time);
+        assert_eq!(path.extension().unwrap(), "pvtp");
+        let pieces = ["_0.vtp", "_1.vtp", "_2.vtp"].map(|end| path.to_str().unwrap().replace(".pvtp", end));
+        let counts = pieces.map(|piece| read_vtp(Path::new(&piece)).unwrap().position.len());
+        assert!(counts.iter().sum::<usize>() == whole.position.len() && counts.iter().all(|&n| n > 100), "{counts:?}");
+        assert!(joined.number.iter().enumerate().all(|(i, &number)| number == i as u64));
+        assert_eq!(joined.tag, whole.tag);
+        let apart = |a: &[[f64; 3]], b: &[[f64; 3]]| {
+            assert_eq!(a.len(), b.len());
+            a.iter().flatten().zip(b.iter().flatten()).fold(0.0f64, |most, (a, b)| most.max((a - b).abs()))
+        };
+        assert!(apart(&joined.position, &whole.position) < 1e-12 && apart(&joined.velocity, &whole.velocity) < 1e-11);
+        assert!(joined.scalars.keys().eq(whole.scalars.keys()));
+        for (name, values) in &whole.scalars {
+            let most = values.iter().fold(0.0f64, |most, x| most.max(x.abs()));
+            let worst = values.iter().zip(&joined.scalars[name]).fold(0.0f64, |worst, (a, b)| worst.max((a - b).abs()));
+            assert!(worst < 1e-11 * most.max(1.0), "{name}: {worst}");
+        }
+    }
+}
+
+/// Where there are fewer flows than ranks, these share every flow, also the rest before it.
+#[test]
+fn a_data_set_of_shared_flows_is_that_of_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let make = |ranks: usize, name: &str| {
+        let out = folder.path().join(name);
+        let mut command = hydrograd(ranks);
+        command.args("generate taylor-green --dx 0.04 --trajectories 1/1/0 --frames 5 --relax 200".split(' '));
+        command.args("--every 10 --threads 1 --precision f64 --out".split(' ')).arg(&out);
+        let output = output(&mut command);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        (out, said)
+    };
+    let ((alone, _), (shared, said)) = (make(0, "alone"), make(3, "shared"));
+    assert!(said.contains("3 ranks share every flow of 625 particles"), "{said}");
+    for split in ["train", "valid"] {
+        let read = |folder: &Path| {
+            let file = hdf5::File::open(folder.join(format!("{split}.h5"))).unwrap();
+            file.dataset("00000/position").unwrap().read_raw::<f32>().unwrap()
+        };
+        let (a, b) = (read(&alone), read(&shared));
+        assert_eq!(a.len(), 5 * 625 * 2);
+        let worst = a.iter().zip(&b).fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs()));
+        assert!(worst < 1e-6, "{split}: {worst}");
     }
 }
 

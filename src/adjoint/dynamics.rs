@@ -55,7 +55,7 @@ impl RunError {
                 NeighbourError::TooFast { particle, distance, .. } => {
                     (*step, of(*particle, "distance moved in one step", *distance))
                 }
-                NeighbourError::BoxTooSmall { .. } => return None,
+                NeighbourError::UsedUp | NeighbourError::BoxTooSmall { .. } => return None,
             },
             Self::Tensor { .. } | Self::Gradient { .. } | Self::Stopped => return None,
         })

@@ -10,7 +10,7 @@ use super::shard::{Shard, ShardArgument};
 use crate::config::scene::{Config, DesignWalls, DriveName, Precision, ShapeName};
 use crate::dataset::objective::objective;
 use crate::dataset::recipe::{Job, Pace, Recipe, Starts};
-use crate::dataset::record::record;
+use crate::dataset::record::{record, shared_particles};
 use crate::dataset::store::{Begun, Provenance, Store};
 use crate::dataset::trajectory::Split;
 use crate::dataset::walls::{read_walls, Walls};
@@ -177,13 +177,24 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     }
     let folder = arguments.common.folder(None, KIND, &loaded)?;
     let store = Store::new(&folder);
-    let of_rank = Shard { index: ranks.rank(), count: ranks.size() };
+    let who = Who::of(&loaded, &recipe, ranks)?;
+    let of_rank = match who {
+        Who::Together { .. } => Shard::ALL,
+        Who::Apart => Shard { index: ranks.rank(), count: ranks.size() },
+    };
     let mine: Vec<Job> = of_rank.of(&shard.of(&recipe.jobs()).copied().collect::<Vec<_>>()).copied().collect();
     if ranks.rank() > 0 {
         // The first rank has begun the folder.
         if goes_on(ranks, true) {
             interrupt::listen_quietly()?;
-            share(&store, &loaded, &recipe, &mine, ranks)?;
+            let is_told = |error: &anyhow::Error| matches!(error.downcast_ref(), Some(Error::Diverged { .. }));
+            match (share(&store, &loaded, &recipe, &mine, (who, ranks)), who) {
+                // All have it, and the first rank tells it.
+                (Err(error), Who::Together { .. }) if is_told(&error) => {}
+                (shared, _) => {
+                    shared?;
+                }
+            }
         }
         return Ok(());
     }
@@ -212,9 +223,12 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     goes_on(ranks, true);
     interrupt::listen("the same command again: finished trajectories are kept")?;
     if ranks.size() > 1 {
-        println!("{} ranks: each makes whole flows of its own", ranks.size());
+        match who {
+            Who::Apart => println!("{} ranks: each makes whole flows of its own", ranks.size()),
+            Who::Together { particles } => println!("{} ranks share every flow of {particles} particles", ranks.size()),
+        }
     }
-    let made = share(&store, &loaded, &recipe, &mine, ranks)?;
+    let made = share(&store, &loaded, &recipe, &mine, (who, ranks))?;
     let Made { made: count, kept, seconds, workers } = made;
     let each = seconds * workers as f64 / count.max(1) as f64;
     println!(
@@ -244,10 +258,42 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     }
 }
 
+/// Flows of so many particles are shared by ranks: a flow takes 1.6 kB a particle, and every rank of a machine would have one.
+const LARGE: usize = 200_000;
+
+/// Who makes a trajectory: one of the ranks, or all of them together.
+#[derive(Clone, Copy)]
+enum Who {
+    Apart,
+    Together { particles: usize },
+}
+
+impl Who {
+    /// Flows are shared where they are large, or where there are fewer of them than ranks. It depends on the data set and the number of
+    /// ranks only, so that a set which was interrupted goes on in the same way.
+    fn of(loaded: &Loaded, recipe: &Recipe, ranks: &Ranks) -> Result<Self, Error> {
+        if ranks.size() == 1 {
+            return Ok(Self::Apart);
+        }
+        let is_sharing_worth = |&particles: &usize| particles >= LARGE || recipe.jobs().len() < ranks.size();
+        let particles = shared_particles(&loaded.config, ranks)?.filter(is_sharing_worth);
+        Ok(particles.map_or(Self::Apart, |particles| Self::Together { particles }))
+    }
+}
+
 /// Makes those of the given trajectories that are not there yet. All ranks do so, and know of all when they are done.
-fn share(store: &Store, loaded: &Loaded, recipe: &Recipe, mine: &[Job], ranks: &Ranks) -> anyhow::Result<Made> {
+fn share(
+    store: &Store,
+    loaded: &Loaded,
+    recipe: &Recipe,
+    mine: &[Job],
+    (who, ranks): (Who, &Ranks),
+) -> anyhow::Result<Made> {
     let clock = Instant::now();
-    let own = missing_of(store, loaded, recipe, mine, ranks);
+    let own = missing_of(store, loaded, recipe, mine, (who, ranks));
+    if let Who::Together { .. } = who {
+        return own.map(|own| Made { seconds: clock.elapsed().as_secs_f64(), ..own });
+    }
     let numbers = own.as_ref().map_or([0.0; 3], |own| [own.made, own.kept, own.workers].map(|count| count as f64));
     // Also where this one was stopped: the others wait here.
     let all = ranks.sum(&numbers);
@@ -257,8 +303,21 @@ fn share(store: &Store, loaded: &Loaded, recipe: &Recipe, mine: &[Job], ranks: &
 }
 
 /// This rank's part of [`share`].
-fn missing_of(store: &Store, loaded: &Loaded, recipe: &Recipe, mine: &[Job], ranks: &Ranks) -> anyhow::Result<Made> {
+fn missing_of(
+    store: &Store,
+    loaded: &Loaded,
+    recipe: &Recipe,
+    mine: &[Job],
+    (who, ranks): (Who, &Ranks),
+) -> anyhow::Result<Made> {
     let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
+    if let Who::Together { .. } = who {
+        // All ranks have looked for what is missing before the first one writes any of it.
+        ranks.wait();
+        let threads = threads_of(ranks, loaded.config.run.threads);
+        make_together(store, loaded, recipe, &todo, threads, ranks)?;
+        return Ok(Made { made: todo.len(), kept: mine.len() - todo.len(), workers: ranks.size(), ..Made::default() });
+    }
     for &job in mine.iter().filter(|job| !todo.contains(job)) {
         open(&store.part(job), "trajectory").map_err(|error| {
             BadInput::new(error.to_string())
@@ -377,18 +436,35 @@ fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job], threads: 
     use_threads(1);
     let workers = workers(threads, jobs.len());
     let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
-    let made = share_out(workers, jobs, |&job| one(store, loaded, recipe, job, &bar));
+    let made = share_out(workers, jobs, |&job| one(store, loaded, recipe, job, &bar, &Ranks::ALONE));
     bar.finish();
     made.map(|_| workers)
 }
 
-fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress) -> anyhow::Result<()> {
+/// Makes one trajectory after the other, each by all ranks.
+fn make_together(
+    store: &Store,
+    loaded: &Loaded,
+    recipe: &Recipe,
+    jobs: &[Job],
+    threads: usize,
+    ranks: &Ranks,
+) -> anyhow::Result<()> {
+    use_threads(threads);
+    let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
+    jobs.iter().try_for_each(|&job| one(store, loaded, recipe, job, &bar, ranks))?;
+    bar.finish();
+    Ok(())
+}
+
+fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress, ranks: &Ranks) -> anyhow::Result<()> {
     let ready = recipe.ready(loaded, job)?;
     let progress = || bar.done(1);
-    let mut trajectory = match ready.config.run.precision {
-        Precision::F32 => record::<f32>(&ready, &progress)?,
-        Precision::F64 => record::<f64>(&ready, &progress)?,
+    let trajectory = match ready.config.run.precision {
+        Precision::F32 => record::<f32>(&ready, &progress, ranks)?,
+        Precision::F64 => record::<f64>(&ready, &progress, ranks)?,
     };
+    let Some(mut trajectory) = trajectory else { return Ok(()) };
     if recipe.objective {
         let (value, by_nodes) = objective(loaded, &trajectory.wall_offset)?;
         (trajectory.objective, trajectory.objective_gradient) = (Some(value), by_nodes);

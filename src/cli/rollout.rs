@@ -203,6 +203,7 @@ impl Scene<'_> {
                 velocity: &frame.velocity,
                 scalars: &scalars,
                 tag: &self.tag,
+                number: &[],
             })?;
         }
         Ok(())

@@ -33,7 +33,7 @@ use crate::scene::{checkpoint, Scene};
 use crate::sph::divergence::{self, Divergence};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::Snapshot;
-use crate::sph::spread;
+use crate::sph::spread::{self, Pieces};
 use crate::sph::Sweeps;
 use clap::Args;
 use std::path::Path;
@@ -117,8 +117,8 @@ pub fn run(mut loaded: Loaded, arguments: SimulateArguments, ranks: &Ranks) -> a
     if ranks.rank() > 0 {
         interrupt::listen_quietly()?;
         return match loaded.config.run.precision {
-            Precision::F32 => follow::<f32>(&loaded, resume, ranks),
-            Precision::F64 => follow::<f64>(&loaded, resume, ranks),
+            Precision::F32 => follow::<f32>(&loaded, &folder, resume, ranks),
+            Precision::F64 => follow::<f64>(&loaded, &folder, resume, ranks),
         };
     }
     let halvings = if arguments.recover { HALVINGS } else { 0 };
@@ -179,14 +179,30 @@ fn first<R: Sweeps>(loaded: &Loaded, scene: &Scene<R>, resume: Option<&Path>) ->
 }
 
 /// Another rank's part of a run: its share of the particles.
-fn follow<R: Sweeps>(loaded: &Loaded, resume: Option<&Path>, ranks: &Ranks) -> anyhow::Result<()> {
+fn follow<R: Sweeps>(loaded: &Loaded, folder: &Path, resume: Option<&Path>, ranks: &Ranks) -> anyhow::Result<()> {
     let scene = Scene::<R>::from_config(&loaded.config)?;
     let first = first(loaded, &scene, resume)?;
     let sharing = spread::sharing(&scene.model, ranks)?;
-    let Scene { model, .. } = scene;
-    // Until no rank reads files of the folder any more.
-    ranks.all(&[0.0]);
-    spread::follow(model, first, (sharing, ranks))
+    let Scene { model, steps, .. } = scene;
+    // Until no rank reads files of the folder any more, and then until the first one has made it.
+    ranks.wait();
+    ranks.wait();
+    let mut frames = Frames::new(&folder.join(frames_of(first.step)), steps, loaded.config.output.frames)?;
+    let pieces = frames.as_mut().map(|frames| frames as &mut dyn Pieces<R>);
+    match spread::follow(model, first, pieces, (sharing, ranks)) {
+        // The first rank tells it.
+        Err(error) if error.is::<RunError>() => Ok(()),
+        ended => ended,
+    }
+}
+
+/// The folder of frames: a resumed run keeps those of its earlier part and adds to them.
+fn frames_of(began: usize) -> String {
+    if began > 0 {
+        format!("particles-from-{began}")
+    } else {
+        "particles".to_string()
+    }
 }
 
 /// Simulates into a folder.
@@ -246,7 +262,7 @@ fn go<R: Sweeps>(
         }
     };
     // Until no rank reads files of the folder any more.
-    ranks.all(&[0.0]);
+    ranks.wait();
     let own = RunFolder::take(folder, KIND, earlier(folder, resume, Earlier::Replaced))?;
     files::write_config(folder, loaded)?;
     if let Some(design) = &scene.design {
@@ -259,9 +275,9 @@ fn go<R: Sweeps>(
             files::write_wall(folder, config, &*design.parametrisation, &design.first)?;
         }
     }
-    // A resumed run keeps the frames and the history of its earlier part and adds to them.
-    let part = if began > 0 { format!("particles-from-{began}") } else { "particles".to_string() };
+    let part = frames_of(began);
     let mut frames = Frames::new(&folder.join(&part), scene.steps, config.output.frames)?;
+    ranks.wait();
     let bar = Progress::new(scene.steps as u64, "simulate");
     let label = match (&scene.design, scene.history_columns()[1]) {
         (Some(_), _) => "Q",
@@ -292,13 +308,20 @@ fn go<R: Sweeps>(
         let mut observers: Vec<&mut dyn Observer<Sph<R>>> = vec![&mut good];
         observers.extend(measurement.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
         observers.extend(shape_heats.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
-        observers.extend(frames.as_mut().map(|it| it as &mut dyn Observer<Sph<R>>));
+        let (seen, pieces) = match sharing {
+            None => (frames.as_mut(), None),
+            Some(_) => (None, frames.as_mut()),
+        };
+        observers.extend(seen.map(|it| it as &mut dyn Observer<Sph<R>>));
         observers.push(&mut history);
         observers.push(&mut checkpoints);
         let ran = match sharing {
             None => run_to_the_end(&dynamics, &from, scene.steps, &mut observers).map(|solver| (solver, None)),
-            Some(sharing) => spread::lead(&dynamics, &from, scene.steps, &mut observers, (sharing, ranks))
-                .map(|(solver, shares)| (solver, Some(shares))),
+            Some(sharing) => {
+                let pieces = pieces.map(|it| it as &mut dyn Pieces<R>);
+                spread::lead(&dynamics, &from, scene.steps, &mut observers, pieces, (sharing, ranks))
+                    .map(|(solver, shares)| (solver, Some(shares)))
+            }
         };
         let error = match ran {
             Ok(ran) => break ran,

@@ -139,8 +139,11 @@ fn lead(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     }
     let data_folder = arguments.data()?.display();
     interrupt::listen(format!("hydrograd train --data {data_folder} --out {} --resume", folder.display()))?;
+    if ranks.size() > 1 {
+        interrupt::needs_others();
+    }
     // Until no rank reads files of the folder any more.
-    ranks.all(&[0.0]);
+    ranks.wait();
     let own = RunFolder::take(folder, KIND, arguments.earlier())?;
     let outcome = training.run(&bar)?;
     page::write(folder)?;

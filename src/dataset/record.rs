@@ -7,14 +7,17 @@ use super::recipe::Ready;
 use super::trajectory::{kind, Trajectory};
 use crate::adjoint::run::{run, Observer};
 use crate::adjoint::{Dynamics, RunError};
-use crate::config::scene::{Config, Family};
+use crate::config::device::DeviceName;
+use crate::config::scene::{Config, Family, Kernels};
 use crate::error::Error;
+use crate::numerics::ranks::Ranks;
 use crate::particles::tag;
 use crate::scene::flows;
 use crate::scene::Scene;
 use crate::sph::divergence::{told, Cause};
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::spread;
 use crate::sph::{Model, Sweeps};
 
 /// The box that contains every particle of a data set, including walls.
@@ -81,22 +84,51 @@ fn is_inner<R: Sweeps>(config: &Config, scene: &Scene<R>, i: usize) -> bool {
     deep && outside(1) < dx && (outside(0) < dx || model.tags[i] == tag::MOVING_WALL)
 }
 
-/// Runs a trajectory; `progress` is called after each frame.
+/// Particles of the flows of a data set, if several ranks could share each of them.
+///
+/// # Errors
+/// A scene that cannot be built.
+pub fn shared_particles(config: &Config, ranks: &Ranks) -> Result<Option<usize>, Error> {
+    let model = stage::<f32>(config)?.scene.model;
+    let is_fused = config.run.kernels == Kernels::Fused && config.run.device == DeviceName::Cpu;
+    let can_share = is_fused && spread::sharing(&model, ranks).is_ok();
+    Ok(can_share.then(|| model.particles()))
+}
+
+/// Runs a trajectory, or a share of it: the first of several ranks has the result. `progress` is called after each frame.
 ///
 /// # Errors
 /// The run diverges, or a particle leaves the box.
-pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn()) -> anyhow::Result<Trajectory> {
+pub fn record<R: Sweeps>(ready: &Ready, progress: &dyn Fn(), ranks: &Ranks) -> anyhow::Result<Option<Trajectory>> {
     let config = &ready.config;
     let mut stage = stage::<R>(config)?;
     if let Some((rest, steps)) = &ready.relaxation {
-        let relaxed = relaxed::<R>(rest, *steps).map_err(|error| failed(ready, &stage.scene, error))?;
+        let relaxed = relaxed::<R>(rest, *steps, ranks).map_err(|error| failed(ready, &stage.scene, error))?;
         restart(config, &stage.scene.model, &mut stage.scene.start, &relaxed);
     }
     let dynamics = Sph::new(stage.scene.model.clone(), config.run.compute()?);
     let mut recorder = Recorder::new(ready, &stage, progress);
-    run(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder])
-        .map_err(|error| failed(ready, &stage.scene, error))?;
-    Ok(recorder.trajectory)
+    let ran = run_over(&dynamics, &stage.scene.start, ready.pace.total, &mut [&mut recorder], ranks);
+    let solver = ran.map_err(|error| failed(ready, &stage.scene, error))?;
+    Ok(solver.map(|_| recorder.trajectory))
+}
+
+/// A run by all ranks, of which the first one has the end.
+fn run_over<R: Sweeps>(
+    dynamics: &Sph<R>,
+    start: &Snapshot<R>,
+    steps: usize,
+    observers: &mut [&mut dyn Observer<Sph<R>>],
+    ranks: &Ranks,
+) -> anyhow::Result<Option<Solver<R>>> {
+    if ranks.size() == 1 {
+        return run(dynamics, start, steps, observers).map(Some);
+    }
+    let shared = (spread::sharing(&dynamics.model, ranks)?, ranks);
+    match ranks.rank() {
+        0 => spread::lead(dynamics, start, steps, observers, None, shared).map(|(solver, _)| Some(solver)),
+        _ => spread::follow(dynamics.model.clone(), start.clone(), None, shared).map(|()| None),
+    }
 }
 
 /// An observer that keeps the frames of a trajectory.
@@ -211,12 +243,14 @@ fn look_at_temperatures<R: Sweeps>(config: &Config, solver: &mut Solver<R>, last
     Ok(())
 }
 
-/// Positions `[D, N]` after a run from rest without forces, which are disordered and evenly spread.
-fn relaxed<R: Sweeps>(config: &Config, steps: usize) -> anyhow::Result<Vec<R>> {
+/// Positions `[D, N]` after a run from rest without forces, which are disordered and evenly spread. All ranks have them.
+fn relaxed<R: Sweeps>(config: &Config, steps: usize, ranks: &Ranks) -> anyhow::Result<Vec<R>> {
     let scene = Scene::<R>::at_rest(config)?;
     let dynamics = Sph::new(scene.model.clone(), config.run.compute()?);
-    let solver = run(&dynamics, &scene.start, steps, &mut [])?;
-    Ok(solver.state[..scene.model.dimension() * scene.model.particles()].to_vec())
+    let solver = run_over(&dynamics, &scene.start, steps, &mut [], ranks)?;
+    let positions = scene.model.dimension() * scene.model.particles();
+    let known = solver.map(|solver| solver.state[..positions].iter().map(|x| x.f64()).collect());
+    Ok(ranks.told(known.unwrap_or_default()).into_iter().map(R::of).collect())
 }
 
 /// The initial state with the fluid at other positions, with the initial velocities there.

@@ -38,6 +38,8 @@ pub struct ParticleFrame<'a> {
     pub scalars: &'a [(&'a str, &'a [f64])],
     /// `[N]`; empty leaves the array out.
     pub tag: &'a [u8],
+    /// Which particles of all these are, `[N]`, where they are a part of them; empty leaves the array out.
+    pub number: &'a [u32],
 }
 
 impl ParticleFrame<'_> {
@@ -52,12 +54,13 @@ impl ParticleFrame<'_> {
         let mut arrays = vec![("position", vector, self.position.len())];
         arrays.extend((!self.velocity.is_empty()).then_some(("velocity", vector, self.velocity.len())));
         arrays.extend((!self.tag.is_empty()).then_some(("tag", count, self.tag.len())));
+        arrays.extend((!self.number.is_empty()).then_some(("number", count, self.number.len())));
         arrays.extend(self.scalars.iter().map(|(name, values)| (*name, count, values.len())));
         FileError::check_lengths(path, self.dimension, count, &arrays)?;
         for (index, (name, _)) in self.scalars.iter().enumerate() {
             let doubled = self.scalars[..index].iter().any(|(other, _)| other == name);
-            if doubled || ["", "velocity", "tag"].contains(name) {
-                let allowed = "a name of its own, not empty, not `velocity` or `tag`";
+            if doubled || ["", "velocity", "tag", "number"].contains(name) {
+                let allowed = "a name of its own, not empty, not `velocity`, `tag` or `number`";
                 return Err(FileError::input(path, format!("a scalar is named `{name}`"), allowed));
             }
         }
@@ -120,9 +123,35 @@ pub fn write_vtp(path: &Path, frame: &ParticleFrame, precision: Precision) -> Re
     if !frame.tag.is_empty() {
         point_data.push(Block::new("UInt8", "tag", 1, frame.tag.to_vec()));
     }
+    if !frame.number.is_empty() {
+        point_data.push(Block::integers("number", frame.number.iter().map(|&number| number as usize)));
+    }
     let points = Block::reals("Points", 3, triples(frame.position).into_iter(), Precision::F64);
     let vertices = [Block::integers("connectivity", 0..count), Block::integers("offsets", 1..count + 1)];
     write_poly_data(path, Some(frame.time), point_data, points, ("Verts", count, vertices))
+}
+
+/// Writes the file (`.pvtp`) of a frame that several processes have written pieces of, whose names without folder these are.
+/// `like` has the arrays that all pieces have.
+fn write_pieces(path: &Path, like: &ParticleFrame, pieces: &[String]) -> Result<(), FileError> {
+    let array = |kind: &str, name: &str, components: usize| {
+        format!("<PDataArray type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\"/>\n", escaped(name))
+    };
+    let mut text = String::from(
+        "<?xml version=\"1.0\"?>\n\
+         <VTKFile type=\"PPolyData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n\
+         <PPolyData GhostLevel=\"0\">\n<PPointData>\n",
+    );
+    text.extend((!like.velocity.is_empty()).then(|| array("Float64", "velocity", 3)));
+    text.extend(like.scalars.iter().map(|(name, _)| array("Float64", name, 1)));
+    text.extend((!like.tag.is_empty()).then(|| array("UInt8", "tag", 1)));
+    text.extend((!like.number.is_empty()).then(|| array("Int64", "number", 1)));
+    let _ = write!(text, "</PPointData>\n<PPoints>\n{}</PPoints>\n", array("Float64", "Points", 3));
+    for piece in pieces {
+        let _ = writeln!(text, "<Piece Source=\"{}\"/>", escaped(piece));
+    }
+    text.push_str("</PPolyData>\n</VTKFile>\n");
+    write_bytes_atomically(path, text.as_bytes())
 }
 
 /// Writes a surface of quadrilaterals as a `.vtp` file, atomically: `points` in scene length units, the numbers of each
@@ -255,7 +284,8 @@ pub fn write_image(path: &Path, image: &Image) -> Result<(), FileError> {
     write_sections(path, ("ImageData", &attributes), Some(image.time), &piece, &[("PointData", blocks)])
 }
 
-/// A series of frames in a folder: `<name>_000000.vtp`, `<name>_000001.vtp`, ..., and `<name>.pvd`.
+/// A series of frames in a folder: `<name>_000000.vtp`, `<name>_000001.vtp`, ..., and `<name>.pvd`. Where several processes write pieces,
+/// `<name>_000000_0.vtp`, `<name>_000000_1.vtp`, ..., and `<name>_000000.pvtp`.
 ///
 /// The `.pvd` is rewritten (atomically) after every frame: a run that is killed leaves a series that opens.
 #[derive(Debug)]
@@ -288,6 +318,30 @@ impl VtkSeries {
         self.frames.push((frame.time, file_name));
         self.write_list()?;
         Ok(path)
+    }
+
+    /// Writes this process's piece of the next frame, number `piece` of so many, which is no frame before it is [`Self::join`]ed.
+    pub fn write_piece(&self, frame: &ParticleFrame, piece: usize) -> Result<(), FileError> {
+        write_vtp(&self.folder.join(self.piece(piece)), frame, Precision::default())
+    }
+
+    fn piece(&self, piece: usize) -> String {
+        format!("{}_{:06}_{piece}.vtp", self.name, self.frames.len())
+    }
+
+    /// Goes on to the next frame, when all pieces of this one are there. One process writes the list of them (`.pvtp`) and of the frames
+    /// so far; `like` is its piece.
+    pub fn join(&mut self, like: &ParticleFrame, pieces: usize, writes: bool) -> Result<(), FileError> {
+        let file_name = format!("{}_{:06}.pvtp", self.name, self.frames.len());
+        let all: Vec<String> = (0..pieces).map(|piece| self.piece(piece)).collect();
+        if writes {
+            write_pieces(&self.folder.join(&file_name), like, &all)?;
+        }
+        self.frames.push((like.time, file_name));
+        if writes {
+            self.write_list()?;
+        }
+        Ok(())
     }
 
     /// Forgets the frames that are not before `time`: the next ones take their places.
@@ -323,10 +377,60 @@ pub struct ParticleFile {
     pub scalars: BTreeMap<String, Vec<f64>>,
     /// Empty if the file has none.
     pub tag: Vec<u8>,
+    /// Empty if the file has none.
+    pub number: Vec<u64>,
 }
 
 /// What stands between the text of a `.vtp` file and its numbers.
 const APPENDED: &[u8] = b"<AppendedData encoding=\"raw\">\n_";
+
+/// Reads a frame: a file of [`write_vtp`]'s, or of pieces, whose particles are in the order of their numbers then.
+///
+/// # Errors
+/// System errors; a file that is none of ours, or cut short.
+pub fn read_frame(path: &Path) -> Result<ParticleFile, FileError> {
+    if path.extension().is_none_or(|extension| extension != "pvtp") {
+        return read_vtp(path);
+    }
+    let text = std::fs::read_to_string(path).map_err(|source| FileError::read(path, source))?;
+    let document = roxmltree::Document::parse(&text).map_err(|error| unreadable(path, &error.to_string()))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let sources = document.descendants().filter_map(|node| node.attribute("Source"));
+    let pieces = sources.map(|name| read_vtp(&folder.join(name))).collect::<Result<Vec<_>, _>>()?;
+    let mut order: Vec<(u64, usize, usize)> = Vec::new();
+    for (k, piece) in pieces.iter().enumerate() {
+        order.extend(piece.number.iter().enumerate().map(|(i, &number)| (number, k, i)));
+    }
+    order.sort_unstable();
+    fn all<T: Copy>(order: &[(u64, usize, usize)], of: impl Fn(usize, usize) -> Option<T>) -> Vec<T> {
+        order.iter().filter_map(|&(_, k, i)| of(k, i)).collect()
+    }
+    let names: Vec<&String> = pieces.first().map_or(vec![], |piece| piece.scalars.keys().collect());
+    let scalar = |name: &String| all(&order, |k, i| pieces[k].scalars.get(name)?.get(i).copied());
+    let file = ParticleFile {
+        position: all(&order, |k, i| pieces[k].position.get(i).copied()),
+        velocity: all(&order, |k, i| pieces[k].velocity.get(i).copied()),
+        tag: all(&order, |k, i| pieces[k].tag.get(i).copied()),
+        number: all(&order, |k, i| pieces[k].number.get(i).copied()),
+        scalars: names.into_iter().map(|name| (name.clone(), scalar(name))).collect(),
+    };
+    match file.position.len() == pieces.iter().map(|piece| piece.position.len()).sum::<usize>() {
+        true => file.checked(path),
+        false => Err(unreadable(path, "its pieces do not number their particles")),
+    }
+}
+
+impl ParticleFile {
+    fn checked(self, path: &Path) -> Result<Self, FileError> {
+        let count = self.position.len();
+        let fits = |length: usize| length == count || length == 0;
+        let all_fit = self.scalars.values().all(|values| values.len() == count);
+        match all_fit && [self.velocity.len(), self.tag.len(), self.number.len()].into_iter().all(fits) {
+            true => Ok(self),
+            false => Err(unreadable(path, "its arrays have different lengths")),
+        }
+    }
+}
 
 /// Reads a file of [`write_vtp`]'s.
 ///
@@ -360,17 +464,12 @@ pub fn read_vtp(path: &Path) -> Result<ParticleFile, FileError> {
             "Points" => file.position = triples(),
             "velocity" => file.velocity = triples(),
             "tag" => file.tag = block.to_vec(),
+            "number" => file.number = block.as_chunks().0.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect(),
             name if is_real => drop(file.scalars.insert(name.to_owned(), reals())),
             _ => {}
         }
     }
-    let count = file.position.len();
-    let fits = |length: usize| length == count || length == 0;
-    let all_fit = file.scalars.values().all(|values| values.len() == count);
-    match all_fit && fits(file.velocity.len()) && fits(file.tag.len()) {
-        true => Ok(file),
-        false => Err(damaged("its arrays have different lengths")),
-    }
+    file.checked(path)
 }
 
 /// The frames of a series, from its `.pvd`: time and file of each, in their order.

@@ -21,6 +21,12 @@ static ASKED: AtomicI32 = AtomicI32::new(0);
 /// What a user is told to do then.
 static ADVICE: OnceLock<String> = OnceLock::new();
 
+/// Whether other processes must answer before the work can stop in an orderly way, and whether they have.
+static NEEDS_OTHERS: AtomicBool = AtomicBool::new(false);
+static OTHERS_ANSWERED: AtomicBool = AtomicBool::new(false);
+/// mpirun ends the others with SIGTERM when one has ended, and kills those that are still there a second later.
+const PATIENCE: Duration = Duration::from_millis(600);
+
 /// SIGTERMs that come so soon after one another are one: a batch system tells all processes of a job, and the job's shell, which tells
 /// its own once more.
 const TOGETHER: Duration = Duration::from_secs(1);
@@ -55,11 +61,33 @@ fn begin(speaks: bool) -> std::io::Result<()> {
                 // Where stderr is closed there is nobody to tell.
                 let _ =
                     writeln!(std::io::stderr(), "{}: keeps what there is, then stops (again: at once)", name(signal));
+                if NEEDS_OTHERS.load(Ordering::Relaxed) {
+                    std::thread::sleep(PATIENCE);
+                    if !OTHERS_ANSWERED.load(Ordering::Relaxed) {
+                        let _ = writeln!(std::io::stderr(), "{}", unanswered());
+                    }
+                }
             }
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(wait)?;
     Ok(())
+}
+
+/// Says that the work needs the answers of other processes to stop in an orderly way; [`others_answered`] that they have come.
+pub fn needs_others() {
+    NEEDS_OTHERS.store(true, Ordering::Relaxed);
+}
+
+/// See [`needs_others`].
+pub fn others_answered() {
+    OTHERS_ANSWERED.store(true, Ordering::Relaxed);
+}
+
+/// What is said where other processes do not answer.
+fn unanswered() -> String {
+    let advice = ADVICE.get().map_or("", String::as_str);
+    format!("a rank does not answer: it has ended, as mpirun says, or its step takes long\n  go on from what was kept last: {advice}")
 }
 
 fn name(signal: i32) -> &'static str {

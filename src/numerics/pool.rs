@@ -38,10 +38,10 @@ impl<T> Pool<T> {
 }
 
 /// Brings numbers that are all written anew to a length. Where they have too little room, they get a sixteenth more than they need in its place,
-/// not twice as much beside it as by `resize`.
-pub fn fit<T: Copy + Default>(numbers: &mut Vec<T>, length: usize) {
+/// not twice as much beside it as by `resize`; the first time only if it is known that their number `changes`.
+pub fn fit<T: Copy + Default>(numbers: &mut Vec<T>, length: usize, changes: bool) {
     if numbers.capacity() < length {
-        let more = if numbers.capacity() > 0 { length / 16 } else { 0 };
+        let more = if changes || numbers.capacity() > 0 { length / 16 } else { 0 };
         *numbers = Vec::new();
         *numbers = Vec::with_capacity(length + more);
     }

@@ -14,6 +14,9 @@ pub enum NeighbourError {
         "particle {particle} moved {distance:.3e} in one step, more than half of the cut-off {cutoff:.3e}: the run has diverged"
     )]
     TooFast { particle: usize, distance: f64, cutoff: f64 },
+    /// Particles must be handed over first.
+    #[error("particles have moved too far for the copies that ranks have of them")]
+    UsedUp,
     #[error("the box is {size} long in direction {direction}, shorter than twice the reach {reach} of a particle: use a longer periodic box or a smaller spacing")]
     BoxTooSmall { direction: usize, size: f64, reach: f64 },
 }

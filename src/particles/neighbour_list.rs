@@ -141,7 +141,7 @@ impl NeighbourList {
         }
         self.capacity = self.capacity.max(ROW_MULTIPLE).next_multiple_of(ROW_MULTIPLE);
         loop {
-            fit(&mut self.index, n * self.capacity);
+            fit(&mut self.index, n * self.capacity, !self.own.is_empty());
             match geometry.dimension {
                 2 => self.sweep::<R, 2>(&geometry, workspace),
                 _ => self.sweep::<R, 3>(&geometry, workspace),

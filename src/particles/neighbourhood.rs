@@ -15,7 +15,20 @@ pub struct Neighbourhood<R> {
     /// Another one for every list that was ever built: who has made something of a list knows whether it is still of this
     /// one.
     pub identity: u64,
+    /// For a part of the particles: where they were when ranks got copies of them.
+    pub copied: Option<Copied<R>>,
+    /// Whether the list is of other particles, so that the next [`Self::update`] builds it wherever they are.
+    is_due: bool,
     workspace: Workspace<R>,
+}
+
+/// Copies of particles of other ranks, and how long they serve.
+#[derive(Debug, Clone)]
+pub struct Copied<R> {
+    /// Where particles were when they were copied, `[D, N]`.
+    pub at: Arc<Vec<R>>,
+    /// Lists can be built as long as no particle has moved half of this since then.
+    pub serves: f64,
 }
 
 /// Lists that were built.
@@ -35,7 +48,24 @@ impl<R: Real> Neighbourhood<R> {
     /// A list that [`Self::rebuild_at`] has still to build.
     pub fn empty() -> Self {
         let list = Arc::new(NeighbourList::default());
-        Self { list, reference: Arc::new(Vec::new()), identity: 0, workspace: Workspace::default() }
+        let (reference, copied, workspace) = Default::default();
+        Self { list, reference, identity: 0, copied, is_due: false, workspace }
+    }
+
+    /// A list of particles, some of them copies, that the next [`Self::update`] builds.
+    pub fn due(copied: Copied<R>) -> Self {
+        let mut new = Self::empty();
+        new.take_others(copied);
+        new
+    }
+
+    /// Takes other particles, whose list the next [`Self::update`] builds, in the old list's memory.
+    pub fn take_others(&mut self, copied: Copied<R>) {
+        if let Some(list) = Arc::get_mut(&mut self.list) {
+            list.forget();
+        }
+        self.reference = copied.at.clone();
+        (self.copied, self.is_due) = (Some(copied), true);
     }
 
     /// Builds the list of another run's or an earlier reference, in the old list's memory unless somebody else still
@@ -44,14 +74,6 @@ impl<R: Real> Neighbourhood<R> {
         // The same place in memory: states of one list are known by it.
         self.reference = reference.clone();
         self.rebuild_list(reach)
-    }
-
-    /// Builds the list of other particles, in the old list's memory.
-    pub fn rebuild_of_others(&mut self, reach: &Reach, reference: &Arc<Vec<R>>) -> Result<(), NeighbourError> {
-        if let Some(list) = Arc::get_mut(&mut self.list) {
-            list.forget();
-        }
-        self.rebuild_at(reach, reference)
     }
 
     /// Builds the list anew, likewise.
@@ -85,7 +107,8 @@ impl<R: Real> Neighbourhood<R> {
     /// positions and the reference only, so a replay does the same. Ranks that have a part of the particles each agree on it.
     ///
     /// # Errors
-    /// Lost or clumped particles, a box too small; that another rank has them.
+    /// Lost or clumped particles, a box too small; that another rank has them. [`NeighbourError::UsedUp`] on all ranks, with the list
+    /// as it was.
     pub fn update(&mut self, reach: &Reach, position: &[R]) -> Result<(), NeighbourError> {
         let found = largest_move(reach, position, &self.reference);
         // A rank that cannot go on stops all.
@@ -96,9 +119,19 @@ impl<R: Real> Neighbourhood<R> {
             let particle = furthest(reach, position, &self.reference);
             return Err(NeighbourError::TooFast { particle, distance: moved, cutoff: reach.cutoff });
         }
-        if 2.0 * moved < reach.skin {
+        if 2.0 * moved < reach.skin && !self.is_due {
             return Ok(());
         }
+        if let Some(copied) = &self.copied {
+            let away = reach.most(largest_move(reach, position, &copied.at).unwrap_or(f64::INFINITY));
+            if 2.0 * away > copied.serves {
+                return Err(match self.is_due {
+                    true => NeighbourError::TooFast { particle: 0, distance: away, cutoff: reach.cutoff },
+                    false => NeighbourError::UsedUp,
+                });
+            }
+        }
+        self.is_due = false;
         let rebuilt = self.rebuild(reach, position);
         let failed = reach.most(if rebuilt.is_ok() { 0.0 } else { f64::INFINITY });
         rebuilt?;

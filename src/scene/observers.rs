@@ -4,11 +4,13 @@ use super::particle_fields::ParticleFields;
 use super::{checkpoint, Scene};
 use crate::adjoint::run::{Observer, CHECK_EVERY};
 use crate::io::csv::{read_columns, write_rows};
-use crate::io::vtk::VtkSeries;
+use crate::io::vtk::{ParticleFrame, VtkSeries};
 use crate::io::FileError;
 use crate::numerics::interrupt;
+use crate::numerics::ranks::Ranks;
 use crate::sph::dynamics::Sph;
 use crate::sph::solver::{Snapshot, Solver};
+use crate::sph::spread::Pieces;
 use crate::sph::Sweeps;
 use std::path::{Path, PathBuf};
 
@@ -56,6 +58,21 @@ impl<R: Sweeps> Observer<Sph<R>> for Frames {
         if self.steps.contains(solver.step) {
             ParticleFields::of(solver)?.with_frame(|frame| self.series.write(frame))?;
         }
+        Ok(())
+    }
+}
+
+impl<R: Sweeps> Pieces<R> for Frames {
+    fn wants(&self, step: usize) -> bool {
+        self.steps.contains(step)
+    }
+    fn write(&mut self, solver: &mut Solver<R>, own: &[usize], numbers: Vec<u32>, ranks: &Ranks) -> anyhow::Result<()> {
+        ParticleFields::of(solver)?.some(own).with_frame(|frame| {
+            let piece = &ParticleFrame { number: &numbers, ..*frame };
+            self.series.write_piece(piece, ranks.rank())?;
+            ranks.wait();
+            self.series.join(piece, ranks.size(), ranks.rank() == 0)
+        })?;
         Ok(())
     }
 }

@@ -54,6 +54,25 @@ impl ParticleFields {
         })
     }
 
+    /// Some of the particles.
+    pub fn some(&self, particles: &[usize]) -> Self {
+        let n = self.tag.len();
+        let of = |field: &[f64]| -> Vec<f64> {
+            field.chunks_exact(n).flat_map(|row| particles.iter().map(|&i| row[i])).collect()
+        };
+        Self {
+            position: of(&self.position),
+            velocity: of(&self.velocity),
+            temperature: self.temperature.as_deref().map(of),
+            density: of(&self.density),
+            pressure: of(&self.pressure),
+            mass: of(&self.mass),
+            tag: particles.iter().map(|&i| self.tag[i]).collect(),
+            box_size: self.box_size.clone(),
+            ..*self
+        }
+    }
+
     /// Calls `f` with these fields as a ParaView frame.
     pub fn with_frame<T>(&self, f: impl FnOnce(&ParticleFrame) -> T) -> T {
         let mut scalars: Vec<(&str, &[f64])> = Vec::new();
@@ -66,6 +85,7 @@ impl ParticleFields {
             velocity: &self.velocity,
             scalars: &scalars,
             tag: &self.tag,
+            number: &[],
         })
     }
 

@@ -1,7 +1,7 @@
 //! What every sweep over pairs shares: rows, records, differences, packing.
 
 use crate::numerics::lanes::{array, Lanes, Real};
-use crate::numerics::pool::Buffer;
+use crate::numerics::pool::{fit, Buffer};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::particles::domain::Images;
 use crate::particles::NeighbourList;
@@ -368,7 +368,7 @@ pub fn pack_positions<R: Real>(
     records: &mut Vec<R>,
 ) {
     let (n, d) = (flow.particles(), flow.dimension());
-    records.resize(4 * n, R::default());
+    fit(records, 4 * n, flow.part.is_some());
     let write = |i: usize, record: &mut [R]| {
         record[2..].fill(extra.map_or(R::default(), |f| f(i)));
         (0..d).for_each(|k| record[k] = moved[k * n + i]);

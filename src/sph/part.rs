@@ -7,6 +7,7 @@ use crate::numerics::lanes::Real;
 use crate::numerics::ranks::Ranks;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// The particles of a rank, and who shares which of them.
 #[derive(Debug)]
@@ -28,6 +29,8 @@ pub struct Part {
 pub struct Traffic {
     pub messages: AtomicU64,
     pub bytes: AtomicU64,
+    /// What that took, with waiting for those of others.
+    pub nanoseconds: AtomicU64,
 }
 
 impl Part {
@@ -40,6 +43,7 @@ impl Part {
     /// Adds the values of copies in a field `[rows, n]` to those of their owners, and sets them to 0: the adjoint of
     /// [`Self::refresh`], for sums that give something to particles of other ranks.
     pub fn give_back<R: Real>(&self, field: &mut [R]) {
+        let clock = Instant::now();
         let n = self.own.len();
         let rows = field.len() / n.max(1);
         let each = |of: &'_ [u32]| -> Vec<usize> {
@@ -55,6 +59,7 @@ impl Part {
         for ((_, of), found) in self.lent.iter().zip(self.ranks.swap(&to, &from)) {
             each(of).into_iter().zip(found).for_each(|(at, value)| field[at] += R::of(value));
         }
+        self.time(clock);
     }
 
     fn count(&self, to: &[(usize, Vec<f64>)]) {
@@ -63,8 +68,13 @@ impl Part {
         self.traffic.bytes.fetch_add(8 * sent as u64, Ordering::Relaxed);
     }
 
+    fn time(&self, clock: Instant) {
+        self.traffic.nanoseconds.fetch_add(clock.elapsed().as_nanos() as u64, Ordering::Relaxed);
+    }
+
     /// [`Self::refresh`] for `count` numbers of each particle; `at` is where number k of particle i stands.
     pub fn exchange<R: Real>(&self, numbers: &mut [R], count: usize, at: impl Fn(usize, usize) -> usize) {
+        let clock = Instant::now();
         let each = |of: &'_ [u32]| -> Vec<usize> {
             (0..count).flat_map(|k| of.iter().map(move |&i| (k, i as usize))).map(|(k, i)| at(k, i)).collect()
         };
@@ -75,5 +85,6 @@ impl Part {
         for ((_, of), found) in self.copies.iter().zip(self.ranks.swap(&to, &from)) {
             each(of).into_iter().zip(found).for_each(|(at, value)| numbers[at] = R::of(value));
         }
+        self.time(clock);
     }
 }

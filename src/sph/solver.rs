@@ -12,6 +12,7 @@ use crate::config::device::Compute;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::read;
 use crate::numerics::lanes::Real;
+use crate::particles::neighbourhood::Copied;
 use crate::particles::{NeighbourList, Neighbourhood};
 use candle_core::{Device, Tensor};
 use std::sync::Arc;
@@ -108,19 +109,15 @@ impl<R: Sweeps> Solver<R> {
         }
     }
 
-    /// Goes on with other particles, in the memory of these.
-    ///
-    /// # Errors
-    /// A state for which there is no neighbour list.
-    pub(super) fn reseat(&mut self, model: Model<R>, state: Vec<R>, reference: &Arc<Vec<R>>) -> Result<(), RunError> {
+    /// Goes on with other particles, in the memory of these. Their list is built in the next part of a step.
+    pub(super) fn reseat(&mut self, model: Model<R>, state: Vec<R>, copied: Copied<R>) {
         self.drove = Some(self.driving_force());
         if !self.worker.reseat(&model) {
             self.worker = model.worker();
         }
         (self.model, self.state) = (model, state);
         (self.began_with, self.list_is_old, self.is_looked) = (None, false, false);
-        let built = self.neighbourhood.rebuild_of_others(&self.model.reach(), reference);
-        built.map_err(|source| RunError::Neighbours { step: self.step, source })
+        self.neighbourhood.take_others(copied);
     }
 
     /// The same solver with its composed steps on a device.
@@ -176,8 +173,12 @@ impl<R: Sweeps> Solver<R> {
         parts: usize,
         make_part: fn(&mut Self) -> Result<(), RunError>,
     ) -> Result<(), RunError> {
-        self.pace = self.pace.next(part, parts);
-        make_part(self)?;
+        let before = self.pace;
+        self.pace = before.next(part, parts);
+        if let Err(error) = make_part(self) {
+            self.pace = before;
+            return Err(error);
+        }
         if part == 0 {
             self.began_with = (self.pace.parts > 1).then(|| self.neighbourhood.reference.clone());
             self.divided.count(self.pace.parts);

@@ -1,10 +1,10 @@
 //! One flow over several ranks: each has the particles in its block, and copies of those near it.
 //!
 //! A step on a rank is that of [`Solver`] on its part of the particles ([`super::part`]). Copies get their owners' state before every
-//! step, and what operators found for them within it before another operator reads that. Blocks ([`Decomposition`]) are those of the
-//! positions where particles were handed over last. All ranks build the neighbour list anew in the same step, as soon as anywhere a
-//! particle has moved half the skin, and after `LISTS` of them particles that have left a block are handed over. Where a rank has come
-//! to have `UNEVEN` times as many particles as the mean, the box is cut anew.
+//! step, and what operators found for them within it before another operator reads that. All ranks build the neighbour list anew in the
+//! same step, as soon as anywhere a particle has moved half the skin. Copies serve for `LISTS` lists. Before the next one is built,
+//! particles that have left a block ([`Decomposition`]) are handed over, with the state before the step, which then begins again. Where a
+//! rank has come to have `UNEVEN` times as many particles as the mean, the box is cut anew.
 //!
 //! On every rank particles are in the order of the whole flow, so sums over neighbours run in the same order as on one rank, but for
 //! rounding where cells of the neighbour search begin elsewhere. Sums over all particles are added in the order of the ranks.
@@ -21,13 +21,13 @@ use super::sweeps::Sweeps;
 use crate::adjoint::run::{Observer, CHECK_EVERY};
 use crate::adjoint::{Dynamics, RunError};
 use crate::config::scene::Kernels;
-use crate::error::BadInput;
+use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::numerics::ranks::Ranks;
 use crate::particles::decomposition::Decomposition;
 use crate::particles::neighbour_list::NeighbourError;
-use crate::particles::reach::{bounds, largest_move, Reach};
-use crate::particles::Neighbourhood;
+use crate::particles::neighbourhood::Copied;
+use crate::particles::reach::bounds;
 use crate::report::memory::peak_memory_bytes;
 use crate::report::text::bytes;
 use serde::Serialize;
@@ -39,14 +39,18 @@ use std::time::Instant;
 /// The box is cut anew where a rank has more particles than the mean by this factor.
 const UNEVEN: f64 = 1.05;
 
-/// After how many neighbour lists particles are handed over: each needs copies half a skin further on both sides, and handing over takes
-/// about as long as a step.
+/// For how many neighbour lists copies serve: each needs those half a skin further on both sides, and handing over takes a part of a step.
 const LISTS: f64 = 4.0;
+
+/// Particles that a rank sends to the first one at a time: these numbers take memory once more.
+const AT_A_TIME: usize = 1 << 15;
 
 /// What the first rank tells the others before a step.
 const GO_ON: f64 = 0.0;
 const SHOW: f64 = 1.0;
 const END: f64 = 2.0;
+/// The end, because somebody asked to stop.
+const STOP: f64 = 3.0;
 
 /// How a run was shared out, over all ranks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -68,6 +72,8 @@ pub struct Shares {
     pub other_rank_bytes: f64,
     /// Time of a step, of the slowest rank: computing, and waiting for what others send.
     pub seconds_per_step: f64,
+    /// What copies take of it, on average: packing, sending and waiting.
+    pub exchange_seconds_per_step: f64,
 }
 
 impl fmt::Display for Shares {
@@ -84,8 +90,10 @@ impl fmt::Display for Shares {
         )?;
         write!(
             out,
-            "a step took {:.3} ms; particles were handed over {} times, the box was cut {} times; the first rank took {}, others at most {}",
+            "a step took {:.3} ms, {:.3} of them for copies; particles were handed over {} times, the box was cut {} times; \
+             the first rank took {}, others at most {}",
             1e3 * self.seconds_per_step,
+            1e3 * self.exchange_seconds_per_step,
             self.handed_over,
             self.cut,
             memory(self.first_rank_bytes),
@@ -99,9 +107,11 @@ impl fmt::Display for Shares {
 pub(super) struct Terms<R> {
     pub ranks: Ranks,
     pub whole: Model<R>,
-    /// See [`Sharing::only`] and [`reach`].
+    /// See [`Sharing::only`].
     only: Option<usize>,
+    /// Distance from its block within which a rank gets copies, and [`Copied::serves`].
     reach: f64,
+    serves: f64,
     traffic: Arc<Traffic>,
 }
 
@@ -111,7 +121,8 @@ pub(super) struct Seat<R> {
     /// Number in the whole flow of each particle here, ascending.
     pub numbers: Vec<u32>,
     /// Where they were, `[D, n]`.
-    pub reference: Arc<Vec<R>>,
+    reference: Arc<Vec<R>>,
+    serves: f64,
     /// The flow of these particles.
     pub flow: Sph<R>,
 }
@@ -124,6 +135,17 @@ pub(super) struct Dealt<R> {
     pub state: Vec<R>,
     /// Whether the box was cut anew.
     is_cut: bool,
+}
+
+/// Files of which every rank writes the piece of its own particles.
+pub trait Pieces<R> {
+    /// Whether they are written before step number `step`: all ranks say the same.
+    fn wants(&self, step: usize) -> bool;
+    /// Writes the piece of the particles `own` of a solver that also has copies; they have these numbers in the whole flow.
+    ///
+    /// # Errors
+    /// Files that cannot be written.
+    fn write(&mut self, solver: &mut Solver<R>, own: &[usize], numbers: Vec<u32>, ranks: &Ranks) -> anyhow::Result<()>;
 }
 
 /// A rank's share of a run.
@@ -189,19 +211,44 @@ impl<R: 'static> Seat<R> {
         self.flow.model.part.as_deref().expect("the flow of a rank is a part")
     }
 
+    pub fn copied(&self) -> Copied<R> {
+        Copied { at: self.reference.clone(), serves: self.serves }
+    }
+
     /// Own particles, by their place here.
     pub fn own(&self) -> impl Iterator<Item = usize> + '_ {
         (0..self.numbers.len()).filter(|&i| self.part().own[i])
     }
 }
 
+impl<R: Sweeps> Seat<R> {
+    /// A run from a state of these particles.
+    fn solver(&self, at: &Snapshot<R>) -> Result<Solver<R>, RunError> {
+        let mut solver = Solver::restore(self.flow.model.clone(), at)?;
+        solver.neighbourhood.copied = Some(self.copied());
+        Ok(solver)
+    }
+}
+
 impl<R: Sweeps> Terms<R> {
     pub fn new(whole: Model<R>, sharing: Sharing, ranks: &Ranks) -> Self {
-        let reach = reach(&whole, sharing);
-        Self { ranks: ranks.clone(), whole, only: sharing.only, reach, traffic: Arc::default() }
+        let reach = whole.reach();
+        // And twice the longest way of a particle in the step that builds a list: a quarter of a spacing. (Kernels reach about three.)
+        let serves = LISTS * reach.skin + reach.cutoff / 6.0;
+        let reach = sharing.reaches as f64 * reach.distance() + serves;
+        Self { ranks: ranks.clone(), whole, only: sharing.only, reach, serves, traffic: Arc::default() }
     }
 
-    /// The particles of this rank in the whole flow, which every rank has.
+    /// This rank's part of a state of the whole flow, which every rank has.
+    fn part_of(&self, start: &Snapshot<R>) -> (Arc<Seat<R>>, Snapshot<R>) {
+        let seat = self.first(&start.reference);
+        let rows = start.state.chunks_exact(self.whole.particles());
+        let state = rows.flat_map(|row| picked(row, &seat.numbers)).collect();
+        let at = Snapshot { state, reference: seat.reference.clone(), ..*start };
+        (seat, at)
+    }
+
+    /// The particles of this rank in the whole flow.
     pub fn first(&self, reference: &[R]) -> Arc<Seat<R>> {
         let n = self.whole.particles();
         let within = bounds(reference, n, 0..n);
@@ -214,7 +261,7 @@ impl<R: Sweeps> Terms<R> {
         self.seat(decomposition, numbers, reference)
     }
 
-    /// Own particles and copies of this rank, whose list is built from `reference`.
+    /// Own particles and copies of this rank, which are at `reference`.
     fn seat(&self, decomposition: Decomposition, numbers: Vec<u32>, reference: Vec<R>) -> Arc<Seat<R>> {
         let (n, here, size) = (numbers.len(), self.ranks.rank(), self.ranks.size());
         let places: Vec<[f64; 3]> = (0..n).map(|i| place(&reference, n, i)).collect();
@@ -234,74 +281,58 @@ impl<R: Sweeps> Terms<R> {
         };
         let model = self.whole.of(&numbers, Arc::new(part)).expect("a model that can be shared out");
         let flow = Sph::new(model, Kernels::Fused);
-        Arc::new(Seat { decomposition, numbers, reference: Arc::new(reference), flow })
+        Arc::new(Seat { decomposition, numbers, reference: Arc::new(reference), serves: self.serves, flow })
     }
 
     /// The record of a particle, which another rank reads.
-    fn record(&self, seat: &Seat<R>, state: &[R], reference: &[R], i: usize, to: &mut Vec<f64>) {
-        let n = seat.numbers.len();
+    fn record(&self, seat: &Seat<R>, state: &[R], i: usize, to: &mut Vec<f64>) {
         to.push(f64::from(seat.numbers[i]));
-        to.extend(state.iter().skip(i).step_by(n).map(|x| x.f64()));
-        to.extend(reference.iter().skip(i).step_by(n).map(|x| x.f64()));
+        to.extend(state.iter().skip(i).step_by(seat.numbers.len()).map(|x| x.f64()));
+    }
+
+    /// Sends rows `[n]` to the first rank, or to all, who write the values of own particles to rows `[N]` of the whole flow.
+    fn gather(&self, seat: &Seat<R>, rows: &[&[R]], by_all: bool, mut whole: Option<&mut [&mut [R]]>) {
+        let own: Vec<usize> = seat.own().collect();
+        let (size, most) = (self.ranks.size(), self.ranks.most(own.len() as f64) as usize);
+        for from in (0..most).step_by(AT_A_TIME) {
+            let some = &own[from.min(own.len())..own.len().min(from + AT_A_TIME)];
+            let mut piece = Vec::with_capacity((1 + rows.len()) * some.len());
+            for &i in some {
+                piece.push(f64::from(seat.numbers[i]));
+                piece.extend(rows.iter().map(|row| row[i].f64()));
+            }
+            let to = (0..size).map(|rank| if by_all || rank == 0 { piece.clone() } else { vec![] }).collect();
+            let found = self.ranks.deal(to);
+            let Some(whole) = &mut whole else { continue };
+            for record in found.iter().flat_map(|of| of.chunks_exact(1 + rows.len())) {
+                let values = whole.iter_mut().zip(&record[1..]);
+                values.for_each(|(row, &value)| row[record[0] as usize] = R::of(value));
+            }
+        }
     }
 
     /// A field `[rows, N]` of the whole flow, on every rank, from its values `[rows, n]` of own particles.
     pub fn gathered(&self, seat: &Seat<R>, field: &[R]) -> Vec<R> {
-        let (n, all) = (seat.numbers.len(), self.whole.particles());
-        let rows = field.len() / n;
-        let mut own = Vec::new();
-        for i in seat.own() {
-            own.push(f64::from(seat.numbers[i]));
-            own.extend((0..rows).map(|row| field[row * n + i].f64()));
-        }
-        let mut whole = vec![R::default(); rows * all];
-        for record in self.ranks.deal(vec![own; self.ranks.size()]).iter().flat_map(|of| of.chunks_exact(1 + rows)) {
-            (0..rows).for_each(|row| whole[row * all + record[0] as usize] = R::of(record[1 + row]));
-        }
+        let rows: Vec<&[R]> = field.chunks_exact(seat.numbers.len()).collect();
+        let all = self.whole.particles();
+        let mut whole = vec![R::default(); rows.len() * all];
+        let mut to: Vec<&mut [R]> = whole.chunks_exact_mut(all).collect();
+        self.gather(seat, &rows, true, Some(&mut to));
         whole
     }
 
-    /// Numbers of a record.
-    fn width(&self) -> usize {
-        1 + self.whole.rows.count() + self.whole.dimension()
-    }
-
-    /// Whether particles must be handed over after step number `step`, which began with the list of that identity: if it has built one,
-    /// before the next one is built some may come to have neighbours of which there are no copies.
-    ///
-    /// # Errors
-    /// Some have them now.
-    pub fn is_used_up(
-        &self,
-        seat: &Seat<R>,
-        began_with: u64,
-        now: &Neighbourhood<R>,
-        step: usize,
-    ) -> Result<bool, RunError> {
-        if now.identity == began_with {
-            return Ok(false);
-        }
-        let reach = seat.flow.model.reach();
-        let moved = self.ranks.most(largest_move(&reach, &now.reference, &seat.reference).unwrap_or(f64::INFINITY));
-        if 2.0 * moved > LISTS * reach.skin + longest_step(&reach) {
-            let source = NeighbourError::TooFast { particle: 0, distance: moved, cutoff: reach.cutoff };
-            return Err(RunError::Neighbours { step, source });
-        }
-        Ok(2.0 * moved > (LISTS - 1.0) * reach.skin)
-    }
-
-    /// Gives every particle to the rank in whose block it is, and copies of it to those near it. `reference` has the positions
-    /// of the new neighbour list.
-    pub fn hand_over(&self, seat: &Seat<R>, state: &[R], reference: &[R]) -> Dealt<R> {
+    /// Gives every particle to the rank in whose block it is, and copies of it to those near it.
+    pub fn hand_over(&self, seat: &Seat<R>, state: &[R]) -> Dealt<R> {
         let (n, ranks) = (seat.numbers.len(), &self.ranks);
+        let positions = &state[..self.whole.dimension() * n];
         let own: Vec<usize> = seat.own().collect();
         let counts = ranks.all(&[own.len() as f64]);
         let mean = counts.iter().sum::<f64>() / counts.len() as f64;
         let is_cut = counts.iter().any(|&count| count > UNEVEN * mean);
         let decomposition = if is_cut {
             let chosen: Vec<u32> = own.iter().map(|&i| i as u32).collect();
-            let within = seat.flow.model.reach().bounds_of_all(reference).expect("a part of a flow");
-            let positions: Vec<R> = reference.chunks_exact(n).flat_map(|row| picked(row, &chosen)).collect();
+            let within = seat.flow.model.reach().bounds_of_all(positions).expect("a part of a flow");
+            let positions: Vec<R> = positions.chunks_exact(n).flat_map(|row| picked(row, &chosen)).collect();
             let sum = |numbers: &[f64]| ranks.sum(numbers);
             Decomposition::new(&self.whole.domain, within, ranks.size(), self.only, &positions, &sum)
         } else {
@@ -310,52 +341,50 @@ impl<R: Sweeps> Terms<R> {
         let here = ranks.rank();
         let (mut to, mut stay) = (vec![Vec::new(); ranks.size()], Vec::with_capacity(own.len()));
         for &i in &own {
-            let place = place(reference, n, i);
+            let place = place(positions, n, i);
             for (rank, to) in to.iter_mut().enumerate() {
                 match decomposition.is_near(rank, place, self.reach) {
                     true if rank == here => stay.push(i),
-                    true => self.record(seat, state, reference, i, to),
+                    true => self.record(seat, state, i, to),
                     false => {}
                 }
             }
         }
-        let (found, width) = (ranks.deal(to), self.width());
+        let (found, width) = (ranks.deal(to), 1 + self.whole.rows.count());
         let mut records: Vec<(usize, &[f64])> = Vec::new();
         for (from, found) in found.iter().enumerate() {
             records.extend(found.chunks_exact(width).map(|record| (from, record)));
         }
         records.sort_unstable_by(|(_, a), (_, b)| a[0].total_cmp(&b[0]));
         let sources = merged(&seat.numbers, &stay, &records);
-        let rows = |old: &[R], from: usize| -> Vec<R> {
-            let mut new = Vec::with_capacity(old.len() / n * sources.len());
-            for (row, values) in old.chunks_exact(n).enumerate() {
-                new.extend(sources.iter().map(|source| match *source {
-                    Source::Here(i) => values[i],
-                    Source::Record(k) => R::of(records[k].1[from + row]),
-                }));
-            }
-            new
-        };
-        let (state, reference) = (rows(state, 1), rows(reference, 1 + self.whole.rows.count()));
+        let mut dealt = Vec::with_capacity(self.whole.rows.count() * sources.len());
+        for (row, values) in state.chunks_exact(n).enumerate() {
+            dealt.extend(sources.iter().map(|source| match *source {
+                Source::Here(i) => values[i],
+                Source::Record(k) => R::of(records[k].1[1 + row]),
+            }));
+        }
+        let reference = dealt[..self.whole.dimension() * sources.len()].to_vec();
         let number = |source: &Source| match *source {
             Source::Here(i) => (seat.numbers[i], here),
             Source::Record(k) => (records[k].1[0] as u32, records[k].0),
         };
         let (numbers, came_from) = sources.iter().map(number).unzip();
         let seat = self.seat(decomposition, numbers, reference);
-        Dealt { seat, came_from, state, is_cut }
+        Dealt { seat, came_from, state: dealt, is_cut }
     }
 }
 
 impl<R: Sweeps> Share<R> {
     /// The share of the whole flow, which every rank has.
     pub(super) fn new(terms: Arc<Terms<R>>, start: &Snapshot<R>) -> Result<Self, RunError> {
-        let n = terms.whole.particles();
-        let seat = terms.first(&start.reference);
-        let state = start.state.chunks_exact(n).flat_map(|row| picked(row, &seat.numbers)).collect();
-        let at = Snapshot { state, reference: seat.reference.clone(), ..*start };
-        let solver = Solver::restore(seat.flow.model.clone(), &at)?;
-        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: start.step, seconds: 0.0 })
+        let (seat, at) = terms.part_of(start);
+        Self::begun(terms, seat, &at)
+    }
+
+    fn begun(terms: Arc<Terms<R>>, seat: Arc<Seat<R>>, at: &Snapshot<R>) -> Result<Self, RunError> {
+        let solver = seat.solver(at)?;
+        Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: at.step, seconds: 0.0 })
     }
 
     /// What the first rank wants before the next step, and in how many parts that is made.
@@ -370,26 +399,25 @@ impl<R: Sweeps> Share<R> {
     pub(super) fn advance(&mut self, parts: usize) -> Result<(), RunError> {
         let clock = Instant::now();
         for part in 0..parts {
-            let list = self.solver.neighbourhood.identity;
-            self.solver.make_part(part, parts)?;
-            match self.terms.is_used_up(&self.seat, list, &self.solver.neighbourhood, self.solver.step)? {
-                true => self.hand_over()?,
-                false => self.solver.model.clone().refresh(&mut self.solver.state),
+            let mut made = self.solver.make_part(part, parts);
+            if is_used_up(&made) {
+                self.hand_over();
+                made = self.solver.make_part(part, parts);
             }
+            made?;
+            self.solver.model.clone().refresh(&mut self.solver.state);
         }
         self.solver.step += 1;
         self.seconds += clock.elapsed().as_secs_f64();
         Ok(())
     }
 
-    fn hand_over(&mut self) -> Result<(), RunError> {
-        let old = &self.solver;
-        let dealt = self.terms.hand_over(&self.seat, &old.state, &old.neighbourhood.reference);
-        self.solver.reseat(dealt.seat.flow.model.clone(), dealt.state, &dealt.seat.reference)?;
+    fn hand_over(&mut self) {
+        let dealt = self.terms.hand_over(&self.seat, &self.solver.state);
+        self.solver.reseat(dealt.seat.flow.model.clone(), dealt.state, dealt.seat.copied());
         self.seat = dealt.seat;
         self.handed_over += 1;
         self.cut += usize::from(dealt.is_cut);
-        Ok(())
     }
 
     /// Goes back to a state that this rank had.
@@ -401,7 +429,7 @@ impl<R: Sweeps> Share<R> {
                 self.solver.step = at.step;
                 self.solver.pace = Pace::after(at.parts);
             }
-            false => self.solver = Solver::restore(seat.flow.model.clone(), at)?,
+            false => self.solver = seat.solver(at)?,
         }
         Ok(())
     }
@@ -413,54 +441,44 @@ impl<R: Sweeps> Share<R> {
             self.solver.look()?;
         }
         let (terms, own, n_own) = (&self.terms, &self.solver, self.seat.numbers.len());
-        let fields = own.looked.fields();
-        let mut to = vec![Vec::new(); terms.ranks.size()];
-        for i in self.seat.own() {
-            terms.record(&self.seat, &own.state, &own.neighbourhood.reference, i, &mut to[0]);
-            if looks {
-                to[0].push(f64::from(own.neighbourhood.list.count[i]));
-                to[0].extend(fields.iter().flat_map(|field| field.iter().skip(i).step_by(n_own)).map(|x| x.f64()));
-            }
+        let fields = if looks { own.looked.fields() } else { Default::default() };
+        let count: Vec<R> = own.neighbourhood.list.count.iter().map(|&count| R::of(f64::from(count))).collect();
+        let mut rows: Vec<&[R]> = own.state.chunks_exact(n_own).collect();
+        rows.extend(own.neighbourhood.reference.chunks_exact(n_own));
+        if looks {
+            rows.push(&count);
+            rows.extend(fields.iter().flat_map(|field| field.chunks_exact(n_own)));
         }
-        let found = terms.ranks.deal(to);
-        let Some(whole) = whole else { return Ok(()) };
+        let Some(whole) = whole else {
+            terms.gather(&self.seat, &rows, false, None);
+            return Ok(());
+        };
         let n = whole.model.particles();
-        let (rows, dimensions) = (terms.whole.rows.count(), terms.whole.dimension());
-        let mut reference = vec![R::default(); dimensions * n];
+        let mut reference = vec![R::default(); terms.whole.dimension() * n];
+        let mut counts = vec![R::default(); if looks { n } else { 0 }];
         let mut looked = Looked::default();
-        for (to, from) in looked.fields_mut().into_iter().zip(fields.iter().filter(|_| looks)) {
-            to.resize(from.len() / n_own * n, R::default());
+        let mut to: Vec<&mut [R]> = whole.state.chunks_exact_mut(n).chain(reference.chunks_exact_mut(n)).collect();
+        to.extend(counts.chunks_exact_mut(n));
+        for (field, from) in looked.fields_mut().into_iter().zip(fields) {
+            field.resize(from.len() / n_own * n, R::default());
+            to.extend(field.chunks_exact_mut(n));
         }
-        let mut count = vec![0; if looks { n } else { 0 }];
-        let width =
-            terms.width() + if looks { 1 + fields.iter().map(|field| field.len() / n_own).sum::<usize>() } else { 0 };
-        for record in found.iter().flat_map(|of| of.chunks_exact(width)) {
-            let i = record[0] as usize;
-            let (state, rest) = record[1..].split_at(rows);
-            let (positions, rest) = rest.split_at(dimensions);
-            for (all, values) in [(&mut whole.state, state), (&mut reference, positions)] {
-                values.iter().enumerate().for_each(|(row, &value)| all[row * n + i] = R::of(value));
-            }
-            let Some((&neighbours, mut rest)) = rest.split_first() else { continue };
-            count[i] = neighbours as u32;
-            for field in looked.fields_mut() {
-                let (values, behind) = rest.split_at(field.len() / n);
-                values.iter().enumerate().for_each(|(row, &value)| field[row * n + i] = R::of(value));
-                rest = behind;
-            }
-        }
+        terms.gather(&self.seat, &rows, false, Some(&mut to));
         (whole.step, whole.pace, whole.least_parts) = (own.step, own.pace, own.least_parts);
         (whole.divided, whole.drove) = (own.divided, Some(own.driving_force()));
         whole.forget_list(Arc::new(reference));
         if looks {
-            whole.take_looked(looked, count);
+            whole.take_looked(looked, counts.iter().map(|count| count.f64() as u32).collect());
         }
         Ok(())
     }
 
-    /// Waits until the first rank has looked at the whole flow: that is no time of a step.
-    fn wait(&self) {
-        self.terms.ranks.all(&[0.0]);
+    /// Writes this rank's piece, if that is due.
+    fn write(&mut self, pieces: &mut Option<&mut dyn Pieces<R>>) -> anyhow::Result<()> {
+        let Some(pieces) = pieces.as_mut().filter(|pieces| pieces.wants(self.solver.step)) else { return Ok(()) };
+        let own: Vec<usize> = self.seat.own().collect();
+        let numbers = own.iter().map(|&i| self.seat.numbers[i]).collect();
+        pieces.write(&mut self.solver, &own, numbers, &self.terms.ranks)
     }
 
     fn shares(&self) -> Shares {
@@ -469,8 +487,9 @@ impl<R: Sweeps> Share<R> {
         let sent = [&traffic.messages, &traffic.bytes].map(|of| of.load(Ordering::Relaxed) as f64 / steps);
         let taken = peak_memory_bytes() as f64;
         let copies = self.seat.numbers.len() - own;
-        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken, self.seconds / steps]);
-        let each = |k: usize| all.iter().skip(k).step_by(6).copied();
+        let exchanging = 1e-9 * traffic.nanoseconds.load(Ordering::Relaxed) as f64 / steps;
+        let all = ranks.all(&[own as f64, copies as f64, sent[0], sent[1], taken, self.seconds / steps, exchanging]);
+        let each = |k: usize| all.iter().skip(k).step_by(7).copied();
         let mean = |k: usize| each(k).sum::<f64>() / ranks.size() as f64;
         Shares {
             ranks: ranks.size(),
@@ -484,19 +503,14 @@ impl<R: Sweeps> Share<R> {
             first_rank_bytes: all[4],
             other_rank_bytes: each(4).skip(1).fold(0.0, f64::max),
             seconds_per_step: each(5).fold(0.0, f64::max),
+            exchange_seconds_per_step: mean(6),
         }
     }
 }
 
-/// Distance within which a rank needs copies of particles where they were handed over: both may move until the last list is built.
-fn reach<R: Sweeps>(whole: &Model<R>, sharing: Sharing) -> f64 {
-    let reach = whole.reach();
-    sharing.reaches as f64 * reach.distance() + LISTS * reach.skin + longest_step(&reach)
-}
-
-/// Twice the longest way of a particle in the step that builds a list: a quarter of a spacing. (The kernel reaches about three.)
-fn longest_step(reach: &Reach<'_>) -> f64 {
-    reach.cutoff / 6.0
+/// Whether a step needs other copies than a rank has: on all ranks, which have their state as it was.
+pub(super) fn is_used_up<T>(made: &Result<T, RunError>) -> bool {
+    matches!(made, Err(RunError::Neighbours { source: NeighbourError::UsedUp, .. }))
 }
 
 /// [`crate::adjoint::run::run`] on the first of several ranks; the others [`follow`].
@@ -508,10 +522,12 @@ pub fn lead<R: Sweeps>(
     start: &Snapshot<R>,
     steps: usize,
     observers: &mut [&mut dyn Observer<Sph<R>>],
+    mut pieces: Option<&mut dyn Pieces<R>>,
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<(Solver<R>, Shares)> {
     let mut whole = Solver::unlisted(dynamics.model.clone(), start);
     let mut share = Share::new(Arc::new(Terms::new(dynamics.model.clone(), sharing, ranks)), start)?;
+    interrupt::needs_others();
     loop {
         let stop = interrupt::check();
         let step = share.solver.step;
@@ -519,11 +535,16 @@ pub fn lead<R: Sweeps>(
         let is_checked = step.is_multiple_of(CHECK_EVERY) || ends;
         let is_seen = is_checked || observers.iter().any(|observer| observer.wants(step));
         let wanted = match (ends, is_seen) {
+            _ if stop.is_err() => STOP,
             (true, _) => END,
             (_, true) => SHOW,
             _ => GO_ON,
         };
         let (_, parts) = share.agree(wanted);
+        if stop.is_err() {
+            interrupt::others_answered();
+        }
+        share.write(&mut pieces)?;
         if is_seen {
             share.show(Some(&mut whole), true)?;
             let shares = ends.then(|| share.shares());
@@ -537,7 +558,8 @@ pub fn lead<R: Sweeps>(
             if let Some(shares) = shares {
                 return Ok((whole, shares));
             }
-            share.wait();
+            // The time of a look is no time of a step.
+            ranks.wait();
         }
         if let Err(error) = share.advance(parts) {
             // One rank knows why, of a particle that has another number there: the same step of the whole flow tells.
@@ -551,29 +573,35 @@ pub fn lead<R: Sweeps>(
 /// The other ranks' part of [`lead`].
 ///
 /// # Errors
-/// No neighbour list for its share of the particles. An error that all ranks have is told by the first one.
+/// No neighbour list for its share of the particles; [`Error::Stopped`]. A [`RunError`], which all ranks have and the first one tells.
 pub fn follow<R: Sweeps>(
     model: Model<R>,
     start: Snapshot<R>,
+    mut pieces: Option<&mut dyn Pieces<R>>,
     (sharing, ranks): (Sharing, &Ranks),
 ) -> anyhow::Result<()> {
-    let mut share = Share::new(Arc::new(Terms::new(model, sharing, ranks)), &start)?;
+    let terms = Arc::new(Terms::new(model, sharing, ranks));
+    let (seat, at) = terms.part_of(&start);
+    // Before there is a list: the whole state takes as much memory.
     drop(start);
+    let mut share = Share::begun(terms, seat, &at)?;
+    drop(at);
     loop {
         let (wanted, parts) = share.agree(GO_ON);
+        share.write(&mut pieces)?;
         if wanted != GO_ON {
             share.show(None, true)?;
         }
-        if wanted == END {
+        if wanted == END || wanted == STOP {
             share.shares();
-            return Ok(());
+            return if wanted == END { Ok(()) } else { Err(Error::Stopped.into()) };
         }
         if wanted != GO_ON {
-            share.wait();
+            ranks.wait();
         }
-        if share.advance(parts).is_err() {
+        if let Err(error) = share.advance(parts) {
             share.show(None, false)?;
-            return Ok(());
+            return Err(error.into());
         }
     }
 }

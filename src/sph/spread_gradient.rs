@@ -12,7 +12,7 @@
 use super::dynamics::Sph;
 use super::method::Sharing;
 use super::solver::{Snapshot, TensorSolver};
-use super::spread::{Seat, Share, Terms};
+use super::spread::{is_used_up, Seat, Share, Terms};
 use super::sweeps::Sweeps;
 use crate::adjoint::dynamics::{Bytes, Dynamics, Fields, RunError};
 use crate::config::scene::Kernels;
@@ -285,21 +285,20 @@ impl<R: Sweeps> Dynamics for Spread<R> {
         _: Option<&Tensor>,
     ) -> std::result::Result<Tensor, RunError> {
         let failed = RunError::tensor(tape.solver.step);
-        let list = tape.solver.neighbourhood.identity;
-        let state = apply1(Begin(tape.seat.clone()), state).map_err(&failed)?;
-        let next = tape.solver.advance(&state)?;
-        let (step, old) = (tape.solver.step, &tape.solver.neighbourhood);
-        if !self.terms.is_used_up(&tape.seat, list, old, step)? {
-            return apply1(Refresh(tape.seat.clone()), &next).map_err(failed);
+        let begun = apply1(Begin(tape.seat.clone()), state).map_err(&failed)?;
+        let mut next = tape.solver.advance(&begun);
+        if is_used_up(&next) {
+            let values: Vec<R> = state.flatten_all().and_then(|state| state.to_vec1()).map_err(&failed)?;
+            let dealt = self.terms.hand_over(&tape.seat, &values);
+            let (after, step) = (dealt.seat, tape.solver.step);
+            let list = Neighbourhood::due(after.copied());
+            tape.solver = TensorSolver::new(after.flow.model.clone(), list, step, 1, Kernels::Fused);
+            let before = std::mem::replace(&mut tape.seat, after.clone());
+            let (ranks, came_from, dealt) = (self.terms.ranks.clone(), dealt.came_from, Mutex::new(dealt.state));
+            let state = apply1(HandOver { ranks, before, after, came_from, state: dealt }, state).map_err(&failed)?;
+            next = tape.solver.advance(&state);
         }
-        let values: Vec<R> = next.flatten_all().and_then(|next| next.to_vec1()).map_err(&failed)?;
-        let dealt = self.terms.hand_over(&tape.seat, &values, &old.reference);
-        let reference = dealt.seat.reference.clone();
-        let at = Snapshot { step, parts: 1, least_parts: 1, state: Vec::new(), reference };
-        tape.solver = TensorSolver::restore(dealt.seat.flow.model.clone(), &at, Kernels::Fused)?;
-        let before = std::mem::replace(&mut tape.seat, dealt.seat.clone());
-        let (ranks, came_from, state) = (self.terms.ranks.clone(), dealt.came_from, Mutex::new(dealt.state));
-        apply1(HandOver { ranks, before, after: dealt.seat, came_from, state }, &next).map_err(failed)
+        apply1(Refresh(tape.seat.clone()), &next?).map_err(failed)
     }
     fn fields(&self, tape: &mut SharedTape<R>, state: &Tensor) -> std::result::Result<Fields, RunError> {
         let fields = tape.seat.flow.fields(&mut tape.solver, state)?;
@@ -327,7 +326,11 @@ impl<R: Sweeps> Dynamics for Spread<R> {
                 let neighbourhood: Neighbourhood<R> = last.solver.neighbourhood;
                 TensorSolver::new(model.clone(), neighbourhood, at.step, at.parts, Kernels::Fused)
             }
-            None => TensorSolver::restore(model.clone(), at, Kernels::Fused)?,
+            None => {
+                let mut solver = TensorSolver::restore(model.clone(), at, Kernels::Fused)?;
+                solver.neighbourhood.copied = Some(kept.seat.copied());
+                solver
+            }
         };
         let shape = (model.rows.count(), model.particles());
         let variable = Var::from_slice(&at.state, shape, &Device::Cpu).map_err(RunError::tensor(at.step))?;

@@ -228,6 +228,7 @@ fn fields(metadata: &Metadata, split: Split, trajectory: &Trajectory) -> Option<
             velocity: vec![],
             scalars: warm.into_iter().chain([("speed".to_string(), speed)]).collect(),
             tag: trajectory.tags(),
+            ..Default::default()
         }
     };
     let first = particles(0).position;

@@ -3,7 +3,7 @@
 use super::folder::{column, Columns, Folder};
 use super::names::label;
 use super::series;
-use crate::io::vtk::{read_list, read_vtp, ParticleFile};
+use crate::io::vtk::{read_frame, read_list, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{short, Chart, Series};
 use crate::report::text::counted;
@@ -146,7 +146,7 @@ pub fn rollout(folder: &Folder) -> anyhow::Result<(String, Vec<Chart>)> {
         return Ok((none, vec![]));
     }
     let read = |name: &str| -> anyhow::Result<Vec<(f64, ParticleFile)>> {
-        read_list(&list(name))?.into_iter().map(|(time, path)| Ok((time, read_vtp(&path)?))).collect()
+        read_list(&list(name))?.into_iter().map(|(time, path)| Ok((time, read_frame(&path)?))).collect()
     };
     let (predicted, truth) = (read("predicted")?, read("true")?);
     let period = [&predicted, &truth].map(|frames| series::period(frames));

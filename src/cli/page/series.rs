@@ -1,7 +1,7 @@
 //! Frames of particles for a page, read from the ParaView files of a run.
 
 use super::folder::Folder;
-use crate::io::vtk::{read_list, read_vtp, ParticleFile};
+use crate::io::vtk::{read_frame, read_list, ParticleFile};
 use crate::particles::tag::FLUID;
 use crate::report::page::{Fields, RawFrame, RawPanel};
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ fn read(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Field
     let Some((_, (_, first))) = lists.first().and_then(|(title, frames)| Some((title, frames.first()?))) else {
         return Ok(None);
     };
-    let first = read_vtp(first)?;
+    let first = read_frame(first)?;
     let (layer, note) = layer(&first.position, dx);
     let particles = first.position.iter().filter(|place| is_in(layer, place)).count();
     let known: Vec<(&str, &str)> =
@@ -40,7 +40,7 @@ fn read(panels: &[(&str, Vec<PathBuf>)], dx: f64) -> anyhow::Result<Option<Field
     for (title, frames) in &lists {
         let mut panel = RawPanel { title: title.to_string(), frames: vec![] };
         for k in Fields::chosen(frames.len(), particles, lists.len(), known.len()) {
-            panel.frames.push(frame(frames[k].0, &read_vtp(&frames[k].1)?, layer, &known));
+            panel.frames.push(frame(frames[k].0, &read_frame(&frames[k].1)?, layer, &known));
         }
         raw.push(panel);
     }

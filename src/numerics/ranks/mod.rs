@@ -96,6 +96,11 @@ impl Ranks {
         (0..own.len()).map(|k| all.iter().skip(k).step_by(own.len()).sum()).collect()
     }
 
+    /// Waits until all ranks have come here.
+    pub fn wait(&self) {
+        self.all(&[0.0]);
+    }
+
     /// The largest of the numbers of all ranks.
     pub fn most(&self, own: f64) -> f64 {
         self.all(&[own]).into_iter().fold(own, f64::max)
@@ -125,6 +130,15 @@ impl Ranks {
         }
         dealt[own] = kept;
         dealt
+    }
+
+    /// The numbers of the first rank, on all of them.
+    pub fn told(&self, known: Vec<f64>) -> Vec<f64> {
+        let to = match self.rank() {
+            0 => vec![known; self.size()],
+            _ => vec![vec![]; self.size()],
+        };
+        self.deal(to).swap_remove(0)
     }
 
     /// Ends all ranks at once, with this exit code; returns only where there is one.

@@ -140,7 +140,7 @@ impl Table {
         let width = width::<R>();
         let most = self.members[..self.places].iter().map(|&i| part(list, i as usize).len()).max().unwrap_or(0);
         self.capacity = self.capacity.max(most.next_multiple_of(4));
-        fit(&mut self.index, self.members.len() * self.capacity);
+        fit(&mut self.index, self.members.len() * self.capacity, !list.own.is_empty());
         let blocks = self.blocks();
         let filling = Filling {
             list,

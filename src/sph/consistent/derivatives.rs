@@ -254,8 +254,9 @@ pub fn forward<R: Real>(
     let records = if first { &mut kept.records } else { &mut kept.pressure_records };
     pack(geometry, position, fields, records);
     if first {
-        fit(&mut kept.value, geometry.blocks.fluid.pairs());
-        fit(&mut kept.slope, geometry.blocks.fluid.pairs());
+        let changes = geometry.model.part.is_some();
+        fit(&mut kept.value, geometry.blocks.fluid.pairs(), changes);
+        fit(&mut kept.slope, geometry.blocks.fluid.pairs(), changes);
         kept.factors.resize(blocks * KINDS * packed(monomials(d)) * width::<R>(), R::default());
     }
     derivatives.resize(blocks * rows(d, count) * width::<R>(), R::default());

@@ -12,6 +12,7 @@ use super::sweeps::Sweeps;
 use super::wall_condition::pack_fluid;
 use crate::numerics::candle::Operator;
 use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::pool::fit;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::own::Own;
@@ -81,7 +82,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, de
     let (model, list) = (&*step.model, &*step.list);
     kept.make_room(model, list, moved);
     let (mass, l) = (Masses::new(model, moved), model.layout);
-    kept.records.resize(stride(record_fields(l.dimension, l.transport, l.heat)) * model.particles(), R::default());
+    let width = stride(record_fields(l.dimension, l.transport, l.heat));
+    fit(&mut kept.records, width * model.particles(), model.part.is_some());
     kept.has_fluid_records = true;
     let (position, density) = (Records::new(&kept.position, 4, model.particles()), Own::new(density));
     let (slope, records) = (Own::new(&mut kept.slope), Own::new(&mut kept.records));

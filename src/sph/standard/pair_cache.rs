@@ -32,7 +32,7 @@ impl<R: Real> PairCache<R> {
     /// Packs the positions and makes room for F. The first sweep of a step calls it.
     pub fn make_room(&mut self, flow: &Flow<R>, list: &NeighbourList, moved: &[R]) {
         pack_positions(flow, moved, None, &mut self.position);
-        fit(&mut self.slope, list.index.len());
+        fit(&mut self.slope, list.index.len(), flow.part.is_some());
         self.has_pairs = true;
     }
     /// Positions and records of so many particles.

@@ -9,6 +9,7 @@ use super::wall_heat::wall_flux;
 use crate::adjoint::RunError;
 use crate::config::scene::Kernels;
 use crate::numerics::candle::read;
+use crate::numerics::pool::fit;
 use crate::numerics::sweep::copy;
 use crate::sph::method::{Looked, Model, Place, Worker};
 use candle_core::{Device, Tensor};
@@ -35,10 +36,11 @@ impl<R: Sweeps> Buffers<R> {
 
     fn make_room(&mut self) {
         let (n, l) = (self.model.particles(), self.model.layout);
-        self.moved.resize(l.moved_rows() * n, R::default());
-        self.density.resize(n, R::default());
-        self.primitives.resize(if l.density { l.primitive_rows() * n } else { 0 }, R::default());
-        self.rates.resize(l.rate_rows() * n, R::default());
+        let (changes, primitives) = (self.model.part.is_some(), if l.density { l.primitive_rows() } else { 0 });
+        fit(&mut self.moved, l.moved_rows() * n, changes);
+        fit(&mut self.density, n, changes);
+        fit(&mut self.primitives, primitives * n, changes);
+        fit(&mut self.rates, l.rate_rows() * n, changes);
     }
 
     /// Density and, where the walls' are read, primitives of the moved state. (A step needs only the records.)

@@ -86,6 +86,7 @@ impl Team<'_> {
         }
         let signal = (0..size).map(|rank| of_rank(rank)[rounds] as i32).find(|&signal| signal != 0);
         if let Some(signal) = signal {
+            interrupt::others_answered();
             interrupt::ask(signal);
         }
         Ok(Found { loss, gradients: sum.mean(share, network)?, is_to_stop: signal.is_some() })
