@@ -5,13 +5,14 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around errors; summary writes the
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around errors front; summary writes the
 fields of summary.json from data/summary.toml; busy is busy.py. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate; from scripts/peers/time_error.py: time-error. `pictures` and `pictures-slow` make the pictures (pictures.py).
 
 The tables need no packages. Build first: cargo build --release (or HYDROGRAD=PROGRAM). Results go to runs/figures/.
 """
+import array
 import csv
 import hashlib
 import json
@@ -610,6 +611,56 @@ def busy():
     return report([4, 8], 3, ["simulate", "heated-channel"])
 
 
+def fluid_of(path):
+    """x of the fluid in a frame."""
+    with open(path, "rb") as file:
+        text, numbers = file.read().split(b'<AppendedData encoding="raw">\n_', 1)
+    def block(name):
+        offset = int(re.search(rf'Name="{name}"[^>]* offset="(\d+)"', text.decode())[1])
+        return numbers[offset + 8:offset + 8 + int.from_bytes(numbers[offset:offset + 8], "little")]
+    points, tags = array.array("d", block("Points")), block("tag")
+    return [points[3 * i] for i, tag in enumerate(tags) if tag == 0]
+
+
+def front():
+    """The front of a collapsing column beside Martin and Moyce's (1952), as it is and with their clock put back."""
+    seen = [tuple(float(x) for x in line.split(",")) for line in open(os.path.join(ROOT, "data/reference/dam-break-front.csv")) if line[0].isdigit()]
+    column = dict(water__length=1, water__height=2, tank__length=8, tank__height=3, time__end=3.2, fluid__reference_velocity=2, output__frames=160)
+    width = 0.05
+    def mean(points, delay):
+        errors = []
+        for time, place in seen:
+            later = next((k for k, (t, _) in enumerate(points) if t >= time - delay), None)
+            if later and time <= points[-1][0]:
+                (t0, z0), (t1, z1) = points[later - 1], points[later]
+                errors.append((z0 + (z1 - z0) * (time - delay - t0) / (t1 - t0)) / place - 1)
+        return errors
+    def cells(points):
+        size = lambda delay: sum(abs(e) for e in mean(points, delay)) / len(mean(points, delay))
+        delay = min((k / 100 for k in range(40)), key=size)
+        return [f"{100 * sum(mean(points, 0)) / len(mean(points, 0)):+.1f} %", f"{delay:.2f}", f"{100 * size(delay):.1f} %"]
+    kinds = [(f"dx {dx}", {"resolution__dx": dx}) for dx in (0.1, 0.05, 0.025, 0.0125)]
+    kinds += [(f"dx 0.025, {name}", {"resolution__dx": 0.025, **keys}) for name, keys in (
+        ("method.flux delta", {"method__flux": "delta"}), ("method.flux riemann", {"method__flux": "riemann"}),
+        ("wall.slip free-slip", {"wall__slip": "free-slip"}), ("method.artificial_viscosity 0.02", {"method__artificial_viscosity": 0.02}),
+        ("fluid.sound_speed_factor 20", {"fluid__sound_speed_factor": 20}))]
+    rows = []
+    for label, keys in kinds:
+        folder = run("dam-break", "simulate", "dam-break", *sets(**column, **keys))
+        ends, deep = [], []
+        with open(os.path.join(folder, "particles/particles.pvd")) as file:
+            frames = re.findall(r'timestep="([^"]+)".*file="([^"]+)"', file.read())
+        for time, name in frames:
+            x, dx = fluid_of(os.path.join(folder, "particles", name)), keys["resolution__dx"]
+            water = {}
+            for place in x:
+                water[int(place / width)] = water.get(int(place / width), 0) + dx * dx / width
+            ends.append((float(time) * 2**0.5, max(x) + dx / 2))
+            deep.append((float(time) * 2**0.5, width * (1 + max(k for k, depth in water.items() if depth >= 0.1))))
+        rows.append([label, *cells(ends), *cells(deep)])
+    return table(["", "front: ahead by, mean", "delay T", "off with it", "where the water is 0.1 a deep: ahead by", "delay T", "off with it"], rows)
+
+
 def summary():
     """The fields of summary.json, from data/summary.toml: nothing is measured."""
     import tomllib
@@ -623,7 +674,7 @@ def summary():
 
 
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, around, summary, busy)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, around, summary, busy, front)
 PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

@@ -98,10 +98,12 @@ fn some_of(scene: &Scene<f64>, reaches: f64, has_all: bool) -> Some {
     assert!(near.len() < n, "{}: a part, {} of {n}", scene.name, near.len());
     let of = |rows: &[f64]| -> Vec<f64> { rows.chunks_exact(n).flat_map(|row| picked(row, &near)).collect() };
     let inside: Vec<bool> = near.iter().map(|&i| cut.owner(place(i as usize)) == 1).collect();
+    let is_lent = |i: u32| [0, 2, 3].into_iter().any(|rank| cut.is_near(rank, place(i as usize), reach));
     let part = Part {
         ranks: Ranks::ALONE,
         own: inside.iter().map(|&is| is || has_all).collect(),
         lent: vec![],
+        lent_to_any: (0..near.len() as u32).filter(|&k| inside[k as usize] && is_lent(near[k as usize])).collect(),
         copies: vec![],
         has_walls: model.has_walls(),
         traffic: Arc::default(),
@@ -129,6 +131,14 @@ fn own_particles_have_all_neighbours() {
                 false => assert!(found.is_empty() && list.fluid_copies.contains(&(k as u32))),
             }
         }
+        // Rows that others wait for come first, and the rest is computed without copies.
+        let (lent, others) = list.fluid_rows.split_at(list.lent_rows);
+        assert!(!lent.is_empty() && !others.is_empty(), "{}", scene.name);
+        assert!(lent.iter().all(|i| list.lent.contains(i)) && others.iter().all(|i| !list.lent.contains(i)));
+        let is_copy = |&j: &u32| !some.inside[j as usize];
+        let sees_copy = |i: u32| list.row(i as usize)[..list.count[i as usize] as usize].iter().any(is_copy);
+        assert!(!others.iter().any(|&i| sees_copy(i)), "{}", scene.name);
+        assert!(lent.iter().any(|&i| sees_copy(i)), "{}", scene.name);
     }
 }
 

@@ -128,7 +128,8 @@ fn the_memory_of_a_list_serves_other_particles() {
     let domain = square(1.0);
     let mut rng = stream(4, "list");
     let of = |tags: &[u8], own: &[bool], position: &[f64], old: Option<Neighbourhood<f64>>| {
-        let reach = Reach { tags, own, domain: &domain, cutoff: 0.8 * REACH, skin: 0.2 * REACH, ranks: None };
+        let reach =
+            Reach { tags, own, lent: &[], domain: &domain, cutoff: 0.8 * REACH, skin: 0.2 * REACH, ranks: None };
         let mut list = old.unwrap_or_else(Neighbourhood::empty);
         list.take_others(Copied { at: Arc::new(position.to_vec()), serves: REACH });
         list.update(&reach, position).unwrap();

@@ -32,6 +32,11 @@ pub fn run_rows<R: Real, K: RowKernel<R>>(kernel: &K, count: usize) {
     deal(count, &|rows| run_rows_alone(kernel, rows));
 }
 
+/// [`run_rows`] for some rows.
+pub fn run_some_rows<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
+    deal(rows.len(), &|part| run_rows_alone(kernel, rows.start + part.start..rows.start + part.end));
+}
+
 /// Calls `each` for every row on all threads: for loops that move numbers and hardly compute.
 pub fn run_each(count: usize, each: impl Fn(usize) + Sync) {
     deal(count, &|rows| rows.for_each(&each));

@@ -38,8 +38,12 @@ pub struct NeighbourList {
     pub fluid_count: Vec<u32>,
     /// Whether a fluid particle has a row, `[N]`; empty where all have.
     pub own: Vec<bool>,
-    /// Fluid particles with a row: the rows of density and forces.
+    /// Those that other ranks have copies of, ascending.
+    pub lent: Vec<u32>,
+    /// Fluid particles with a row, the rows of density and forces: first the lent ones, then those of which none has a copy as neighbour.
     pub fluid_rows: Vec<u32>,
+    /// How many of them are lent.
+    pub lent_rows: usize,
     /// Fluid particles without a row: copies of what other ranks have.
     pub fluid_copies: Vec<u32>,
     /// Wall particles with a fluid particle in reach: the rows of the wall extrapolation.
@@ -102,8 +106,8 @@ impl NeighbourList {
     pub fn forget(&mut self) {
         self.particles = 0;
         self.own.clear();
-        let Self { index, count, fluid_count, fluid_rows, fluid_copies, wall_rows, .. } = self;
-        [index, count, fluid_count, fluid_rows, fluid_copies, wall_rows].into_iter().for_each(Vec::clear);
+        let Self { index, count, fluid_count, lent, fluid_rows, fluid_copies, wall_rows, .. } = self;
+        [index, count, fluid_count, lent, fluid_rows, fluid_copies, wall_rows].into_iter().for_each(Vec::clear);
     }
 
     /// [`Self::build`] in place: `tags` must be those of the first build, or of the first after [`Self::forget`].
@@ -125,9 +129,12 @@ impl NeighbourList {
             self.fluid_count = vec![0; n];
             let has_row = |&i: &u32| self.own.is_empty() || self.own[i as usize];
             (self.fluid_rows, self.fluid_copies) = (0..n as u32).filter(|i| !walls(i)).partition(has_row);
+            let is_lent = |i: &u32| self.lent.binary_search(i).is_ok();
+            let (lent, others): (Vec<u32>, Vec<u32>) = self.fluid_rows.iter().partition(|i| is_lent(i));
+            (self.lent_rows, self.fluid_rows) = (lent.len(), [lent, others].concat());
         }
         let geometry = Geometry::new(position, n, domain, (reach, self.within))?;
-        if self.fluid_copies.is_empty() {
+        if self.fluid_copies.is_empty() && self.lent_rows == 0 {
             workspace.fluid.fill(&geometry, position, n, &self.fluid_rows);
         } else {
             let all: Vec<u32> = (0..n as u32).filter(|i| !walls(i)).collect();

@@ -99,6 +99,7 @@ impl<R: Real> Neighbourhood<R> {
         list.within = reach.bounds_of_all(&self.reference);
         if list.own.is_empty() {
             list.own.extend_from_slice(reach.own);
+            list.lent.extend_from_slice(reach.lent);
         }
         list.rebuild(&self.reference, reach.tags, reach.domain, reach.distance(), &mut self.workspace)
     }

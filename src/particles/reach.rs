@@ -16,6 +16,8 @@ pub struct Reach<'a> {
     pub tags: &'a [u8],
     /// Whether a fluid particle has a row of the list, `[N]`; empty where all have.
     pub own: &'a [bool],
+    /// Those that other ranks have copies of, ascending.
+    pub lent: &'a [u32],
     pub domain: &'a Domain,
     /// Support radius of the smoothing kernel.
     pub cutoff: f64,

@@ -6,15 +6,20 @@ use super::rows::{Quantity, Rows};
 use crate::numerics::blocks::Blocks;
 use crate::numerics::lanes::Real;
 use crate::numerics::pool::Buffers;
+use crate::numerics::sweep::{run_rows, run_some_rows, RowKernel};
 use crate::numerics::total::Total;
-use crate::particles::{tag, Domain, Reach};
+use crate::particles::{tag, Domain, NeighbourList, Reach};
 use crate::sph::kernels::{Kernel, KernelName};
 use crate::sph::laws::body_force::BodyForce;
 use crate::sph::laws::buoyancy::Buoyancy;
 use crate::sph::laws::drive::Drive;
 use crate::sph::laws::equation_of_state::EquationOfState;
+use crate::sph::own::Own;
 use candle_core::{Result, Tensor};
 use std::sync::Arc;
+
+/// Into how many pieces a sweep is cut, between which messages get time.
+const PIECES: usize = 8;
 
 /// Heat conduction and its boundary conditions. Temperatures are stored as T - `reference`, because f32 has no digits
 /// to spare for the constant (over 20 steps of the heated channel this lowers the error of the f32 gradient from 0.56
@@ -137,9 +142,17 @@ impl<R> Flow<R> {
     }
     /// What a neighbour search needs: tags, domain, cut-off and skin.
     pub fn reach(&self) -> Reach<'_> {
-        let own = self.part.as_ref().map_or(&[][..], |part| &part.own);
+        let (own, lent) = self.part.as_ref().map_or((&[][..], &[][..]), |part| (&part.own, &part.lent_to_any));
         let ranks = self.part.as_ref().map(|part| &part.ranks);
-        Reach { tags: &self.tags, own, domain: &self.domain, cutoff: self.kernel.cutoff(), skin: self.skin, ranks }
+        Reach {
+            tags: &self.tags,
+            own,
+            lent,
+            domain: &self.domain,
+            cutoff: self.kernel.cutoff(),
+            skin: self.skin,
+            ranks,
+        }
     }
     pub fn is_fluid(&self, i: usize) -> bool {
         self.tags[i] == tag::FLUID
@@ -208,7 +221,22 @@ impl<R: Real> Flow<R> {
         }
     }
 
-    /// The same for numbers `from .. from + count` of records `[N, width]`.
+    /// Runs a sweep over the fluid's rows that writes a field `[rows, N]`. Where ranks share the flow, it begins with those of particles that
+    /// others have copies of; their values are sent, and those of copies come, while the rest is computed.
+    pub fn sweep<K: RowKernel<R>>(&self, list: &NeighbourList, kernel: &K, field: &Own<'_, R>, rows: usize) {
+        let (all, n) = (list.fluid_rows.len(), self.particles());
+        let Some(part) = &self.part else { return run_rows(kernel, all) };
+        run_some_rows(kernel, 0..list.lent_rows);
+        let mut exchange = part.begin(rows, |row, i| field.get(row * n + i));
+        let piece = (all - list.lent_rows).div_ceil(PIECES).max(1);
+        for from in (list.lent_rows..all).step_by(piece) {
+            run_some_rows(kernel, from..all.min(from + piece));
+            exchange.go_on();
+        }
+        part.finish(exchange, rows, |row, i, value| field.set(row * n + i, value));
+    }
+
+    /// [`Self::refresh`] for numbers `from .. from + count` of records `[N, width]`.
     pub fn refresh_records(&self, records: &mut [R], width: usize, from: usize, count: usize) {
         if let Some(part) = &self.part {
             part.exchange(records, count, |k, i| i * width + from + k);

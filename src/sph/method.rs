@@ -263,10 +263,10 @@ pub struct Shown {
 
 /// Makes steps without a graph, in its own buffers.
 pub trait Worker<R>: Debug + Send {
-    /// Makes one part of a step in place.
+    /// Makes one part of a step in place. Copies of other ranks' particles have their owners' state afterwards.
     ///
     /// # Errors
-    /// Particles that are lost or too fast; tensor errors of composed operators.
+    /// Particles that are lost or too fast, or for which there are other copies; tensor errors of composed operators.
     fn advance(&mut self, place: &mut Place<'_, R>, state: &mut Vec<R>) -> Result<(), RunError>;
     /// Computes the fields of a state without advancing it.
     ///

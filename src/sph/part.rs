@@ -4,7 +4,7 @@
 //! owners found.
 
 use crate::numerics::lanes::Real;
-use crate::numerics::ranks::Ranks;
+use crate::numerics::ranks::{Ranks, Swap};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::Arc;
 use std::time::Instant;
@@ -17,6 +17,8 @@ pub struct Part {
     pub own: Vec<bool>,
     /// Ranks that have copies of own particles, and of which.
     pub lent: Vec<(usize, Vec<u32>)>,
+    /// Own particles that some rank has copies of, ascending.
+    pub lent_to_any: Vec<u32>,
     /// Ranks that own what is copied here, and which these are.
     pub copies: Vec<(usize, Vec<u32>)>,
     /// Whether the whole flow has walls, whether or not this part has.
@@ -43,21 +45,12 @@ impl Part {
     /// Adds the values of copies in a field `[rows, n]` to those of their owners, and sets them to 0: the adjoint of
     /// [`Self::refresh`], for sums that give something to particles of other ranks.
     pub fn give_back<R: Real>(&self, field: &mut [R]) {
-        let clock = Instant::now();
         let n = self.own.len();
-        let rows = field.len() / n.max(1);
-        let each = |of: &'_ [u32]| -> Vec<usize> {
-            (0..rows).flat_map(|row| of.iter().map(move |&i| row * n + i as usize)).collect()
-        };
-        let mut to = Vec::with_capacity(self.copies.len());
-        for (rank, of) in &self.copies {
-            let take = |at: usize| std::mem::take(&mut field[at]).f64();
-            to.push((*rank, each(of).into_iter().map(take).collect::<Vec<f64>>()));
-        }
-        let from: Vec<(usize, usize)> = self.lent.iter().map(|(rank, of)| (*rank, rows * of.len())).collect();
+        let (clock, rows) = (Instant::now(), field.len() / n.max(1));
+        let to = packed(&self.copies, rows, |row, i| std::mem::take(&mut field[row * n + i]));
         self.count(&to);
-        for ((_, of), found) in self.lent.iter().zip(self.ranks.swap(&to, &from)) {
-            each(of).into_iter().zip(found).for_each(|(at, value)| field[at] += R::of(value));
+        for ((_, of), found) in self.lent.iter().zip(self.ranks.begin_swap(to, &lengths(&self.lent, rows)).wait()) {
+            numbers(of, rows).zip(found).for_each(|((row, i), value)| field[row * n + i] += R::of(value));
         }
         self.time(clock);
     }
@@ -74,17 +67,45 @@ impl Part {
 
     /// [`Self::refresh`] for `count` numbers of each particle; `at` is where number k of particle i stands.
     pub fn exchange<R: Real>(&self, numbers: &mut [R], count: usize, at: impl Fn(usize, usize) -> usize) {
+        let swap = self.begin(count, |k, i| numbers[at(k, i)]);
+        self.finish(swap, count, |k, i, value| numbers[at(k, i)] = value);
+    }
+
+    /// Begins an exchange of `count` numbers of each particle: number k of particle i is `get(k, i)`. All ranks begin and
+    /// [finish](Self::finish) the same ones in the same order.
+    pub fn begin<R: Real>(&self, count: usize, get: impl Fn(usize, usize) -> R) -> Swap {
         let clock = Instant::now();
-        let each = |of: &'_ [u32]| -> Vec<usize> {
-            (0..count).flat_map(|k| of.iter().map(move |&i| (k, i as usize))).map(|(k, i)| at(k, i)).collect()
-        };
-        let packed = |of: &[u32]| each(of).into_iter().map(|at| numbers[at].f64()).collect();
-        let to: Vec<(usize, Vec<f64>)> = self.lent.iter().map(|(rank, of)| (*rank, packed(of))).collect();
-        let from: Vec<(usize, usize)> = self.copies.iter().map(|(rank, of)| (*rank, count * of.len())).collect();
+        let to = packed(&self.lent, count, get);
         self.count(&to);
-        for ((_, of), found) in self.copies.iter().zip(self.ranks.swap(&to, &from)) {
-            each(of).into_iter().zip(found).for_each(|(at, value)| numbers[at] = R::of(value));
+        let swap = self.ranks.begin_swap(to, &lengths(&self.copies, count));
+        self.time(clock);
+        swap
+    }
+
+    /// Waits for the numbers of copies; `set(k, i, value)` takes them.
+    pub fn finish<R: Real>(&self, swap: Swap, count: usize, mut set: impl FnMut(usize, usize, R)) {
+        let clock = Instant::now();
+        for ((_, of), found) in self.copies.iter().zip(swap.wait()) {
+            numbers(of, count).zip(found).for_each(|((k, i), value)| set(k, i, R::of(value)));
         }
         self.time(clock);
     }
+}
+
+/// Particles of an exchange with each of some ranks.
+type With = [(usize, Vec<u32>)];
+
+/// Number k and particle i of everything that is exchanged of some particles, in the order of messages.
+fn numbers(of: &[u32], count: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+    (0..count).flat_map(move |k| of.iter().map(move |&i| (k, i as usize)))
+}
+
+/// Messages to ranks.
+fn packed<R: Real>(with: &With, count: usize, mut get: impl FnMut(usize, usize) -> R) -> Vec<(usize, Vec<f64>)> {
+    with.iter().map(|(rank, of)| (*rank, numbers(of, count).map(|(k, i)| get(k, i).f64()).collect())).collect()
+}
+
+/// How long messages from ranks are.
+fn lengths(with: &With, count: usize) -> Vec<(usize, usize)> {
+    with.iter().map(|(rank, of)| (*rank, count * of.len())).collect()
 }

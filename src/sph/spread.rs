@@ -1,7 +1,7 @@
 //! One flow over several ranks: each has the particles in its block, and copies of those near it.
 //!
 //! A step on a rank is that of [`Solver`] on its part of the particles ([`super::part`]). Copies get their owners' state before every
-//! step, and what operators found for them within it before another operator reads that. All ranks build the neighbour list anew in the
+//! step, or what it follows from, and what operators found for them within it before another operator reads that. All ranks build the neighbour list anew in the
 //! same step, as soon as anywhere a particle has moved half the skin. Copies serve for `LISTS` lists. Before the next one is built,
 //! particles that have left a block ([`Decomposition`]) are handed over, with the state before the step, which then begins again. Where a
 //! rank has come to have `UNEVEN` times as many particles as the mean, the box is cut anew.
@@ -271,9 +271,14 @@ impl<R: Sweeps> Terms<R> {
         let is_lent = |rank, i: usize| owners[i] == here && decomposition.is_near(rank, places[i], self.reach);
         let lent = |rank| (rank, chosen(&|i| is_lent(rank, i)));
         let copies = |rank| (rank, chosen(&|i| owners[i] == rank));
+        let lent: Vec<(usize, Vec<u32>)> = others().map(lent).filter(|(_, of)| !of.is_empty()).collect();
+        let mut lent_to_any: Vec<u32> = lent.iter().flat_map(|(_, of)| of.iter().copied()).collect();
+        lent_to_any.sort_unstable();
+        lent_to_any.dedup();
         let part = Part {
             ranks: self.ranks.clone(),
-            lent: others().map(lent).filter(|(_, of)| !of.is_empty()).collect(),
+            lent,
+            lent_to_any,
             copies: others().map(copies).filter(|(_, of)| !of.is_empty()).collect(),
             own: owners.iter().map(|&owner| owner == here).collect(),
             has_walls: self.whole.has_walls(),
@@ -405,7 +410,6 @@ impl<R: Sweeps> Share<R> {
                 made = self.solver.make_part(part, parts);
             }
             made?;
-            self.solver.model.clone().refresh(&mut self.solver.state);
         }
         self.solver.step += 1;
         self.seconds += clock.elapsed().as_secs_f64();

@@ -35,6 +35,23 @@ pub fn started(variable: impl Fn(&str) -> Option<String>) -> usize {
     sizes.max().unwrap_or(1)
 }
 
+/// Numbers on their way between ranks.
+pub struct Swap(Option<engine::Swap>);
+
+impl Swap {
+    /// Gives them time: MPI moves numbers only while somebody asks it something.
+    pub fn go_on(&mut self) {
+        if let Some(swap) = &mut self.0 {
+            swap.go_on();
+        }
+    }
+
+    /// Waits for them. They come in the order in which the ranks were named.
+    pub fn wait(self) -> Vec<Vec<f64>> {
+        self.0.map_or(vec![], engine::Swap::wait)
+    }
+}
+
 impl fmt::Debug for Ranks {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "rank {} of {}", self.rank(), self.size())
@@ -106,10 +123,10 @@ impl Ranks {
         self.all(&[own]).into_iter().fold(own, f64::max)
     }
 
-    /// Sends numbers to other ranks and waits for theirs, where both sides know how many: `to` and `from` name ranks, each at most once.
-    /// The numbers come in the order of `from`.
-    pub fn swap(&self, to: &[(usize, Vec<f64>)], from: &[(usize, usize)]) -> Vec<Vec<f64>> {
-        self.0.as_ref().map_or(vec![], |world| world.swap(to, from))
+    /// Begins to send numbers to other ranks and to get theirs, where both sides know how many: `to` and `from` name ranks, each at most
+    /// once.
+    pub fn begin_swap(&self, to: Vec<(usize, Vec<f64>)>, from: &[(usize, usize)]) -> Swap {
+        Swap(self.0.as_ref().map(|world| world.begin_swap(to, from)))
     }
 
     /// Sends numbers to every rank, and returns those that each of them sent; those for this one stay. All ranks must ask for it.
@@ -125,7 +142,7 @@ impl Ranks {
         let kept = std::mem::take(&mut to[own]);
         let to: Vec<_> = others(&counts).into_iter().map(|(rank, _)| (rank, std::mem::take(&mut to[rank]))).collect();
         let mut dealt = vec![Vec::new(); world.size()];
-        for (&(rank, _), numbers) in from.iter().zip(world.swap(&to, &from)) {
+        for (&(rank, _), numbers) in from.iter().zip(self.begin_swap(to, &from).wait()) {
             dealt[rank] = numbers;
         }
         dealt[own] = kept;

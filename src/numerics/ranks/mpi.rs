@@ -66,28 +66,24 @@ impl World {
         found
     }
 
-    pub fn swap(&self, to: &[(usize, Vec<f64>)], from: &[(usize, usize)]) -> Vec<Vec<f64>> {
-        let mut found: Vec<Vec<f64>> = from.iter().map(|&(_, count)| vec![0.0; count]).collect();
+    pub fn begin_swap(&self, to: Vec<(usize, Vec<f64>)>, from: &[(usize, usize)]) -> Swap {
+        let found = from.iter().map(|&(_, count)| vec![0.0; count]).collect();
+        let mut swap = Swap { to, found, requests: Vec::new() };
         let (kind, world) = (f64::equivalent_datatype().as_raw(), self.communicator.as_raw());
         let number = |count: usize| i32::try_from(count).expect("a message of fewer than 2^31 numbers");
-        let mut requests = Vec::with_capacity(from.len() + to.len());
-        // SAFETY (all): the buffers live, are not touched and do not move until all requests are done, and are as long as MPI is
-        // told; MPI sets each request, or ends the program.
-        for (numbers, &(rank, count)) in found.iter_mut().zip(from) {
+        // SAFETY (all): the buffers live in the swap, are not touched and do not move until all requests are done, and are as long as
+        // MPI is told; MPI sets each request, or ends the program.
+        for (numbers, &(rank, count)) in swap.found.iter_mut().zip(from) {
             let (mut request, to) = (MaybeUninit::uninit(), numbers.as_mut_ptr().cast());
             unsafe { ffi::MPI_Irecv(to, number(count), kind, number(rank), 0, world, request.as_mut_ptr()) };
-            requests.push(unsafe { request.assume_init() });
+            swap.requests.push(unsafe { request.assume_init() });
         }
-        for (rank, numbers) in to {
+        for (rank, numbers) in &swap.to {
             let (mut request, from) = (MaybeUninit::uninit(), numbers.as_ptr().cast());
             unsafe { ffi::MPI_Isend(from, number(numbers.len()), kind, number(*rank), 0, world, request.as_mut_ptr()) };
-            requests.push(unsafe { request.assume_init() });
+            swap.requests.push(unsafe { request.assume_init() });
         }
-        for request in &mut requests {
-            let mut status = MaybeUninit::uninit();
-            unsafe { ffi::MPI_Wait(request, status.as_mut_ptr()) };
-        }
-        found
+        swap
     }
 
     pub fn begin_exchange(&self, numbers: Vec<f64>, how: How) -> Exchange {
@@ -111,6 +107,45 @@ impl World {
 
     pub fn abort(&self, code: u8) {
         self.communicator.abort(i32::from(code));
+    }
+}
+
+/// Messages on their way.
+pub struct Swap {
+    /// MPI reads them until the requests are done.
+    to: Vec<(usize, Vec<f64>)>,
+    found: Vec<Vec<f64>>,
+    requests: Vec<ffi::MPI_Request>,
+}
+
+impl Swap {
+    pub fn go_on(&mut self) {
+        for request in &mut self.requests {
+            let (mut done, mut status) = (0, MaybeUninit::uninit());
+            // SAFETY: the request is of this swap, and a request that is done is none any more.
+            unsafe { ffi::MPI_Test(request, &mut done, status.as_mut_ptr()) };
+        }
+    }
+
+    /// Waits for what others have sent.
+    pub fn wait(mut self) -> Vec<Vec<f64>> {
+        self.finish();
+        std::mem::take(&mut self.found)
+    }
+
+    fn finish(&mut self) {
+        for request in &mut self.requests {
+            let mut status = MaybeUninit::uninit();
+            // SAFETY: as above.
+            unsafe { ffi::MPI_Wait(request, status.as_mut_ptr()) };
+        }
+    }
+}
+
+impl Drop for Swap {
+    /// Nobody frees numbers that are on their way.
+    fn drop(&mut self) {
+        self.finish();
     }
 }
 

@@ -36,7 +36,7 @@ impl World {
         match *self {}
     }
 
-    pub fn swap(&self, _: &[(usize, Vec<f64>)], _: &[(usize, usize)]) -> Vec<Vec<f64>> {
+    pub fn begin_swap(&self, _: Vec<(usize, Vec<f64>)>, _: &[(usize, usize)]) -> Swap {
         match *self {}
     }
 
@@ -46,6 +46,18 @@ impl World {
 
     pub fn abort(&self, _: u8) {
         match *self {}
+    }
+}
+
+pub enum Swap {}
+
+impl Swap {
+    pub fn go_on(&mut self) {
+        match *self {}
+    }
+
+    pub fn wait(self) -> Vec<Vec<f64>> {
+        match self {}
     }
 }
 

@@ -63,6 +63,7 @@ impl<R: Sweeps> Worker<R> for Run<R> {
         let blocks = self.tables.update(&self.model, place.neighbourhood);
         let geometry = Geometry { model: &self.model, blocks: &blocks, times: place.times };
         self.drive = self.buffers.advance(&geometry, state);
+        self.model.refresh(state);
         Ok(())
     }
     fn look(&mut self, place: &mut Place<'_, R>, state: &[R], to: &mut Looked<R>) -> Result<(), RunError> {

@@ -77,7 +77,8 @@ impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
     }
 }
 
-/// The forward pass, on plain numbers; keeps F, and the fluid's records while they are at hand. `density` must be zero for walls.
+/// The forward pass, on plain numbers; keeps F, and the fluid's records while they are at hand. `density` must be zero for walls. Copies have
+/// what their owners have found.
 pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, density: &mut [R]) {
     let (model, list) = (&*step.model, &*step.list);
     kept.make_room(model, list, moved);
@@ -87,10 +88,10 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &mut PairCache<R>, de
     kept.has_fluid_records = true;
     let (position, density) = (Records::new(&kept.position, 4, model.particles()), Own::new(density));
     let (slope, records) = (Own::new(&mut kept.slope), Own::new(&mut kept.records));
-    with_dimension!(l.dimension, |D| run_rows(
-        &Forward::<R, D> { step, position, mass, density, slope, moved, records },
-        list.fluid_rows.len(),
-    ));
+    with_dimension!(l.dimension, |D| {
+        let kernel = Forward::<R, D> { step, position, mass, density, slope, moved, records };
+        model.sweep(list, &kernel, &kernel.density, 1);
+    });
 }
 
 struct Backward<'a, R, const D: usize> {

@@ -194,7 +194,7 @@ impl<R: Real, T: DensityTerm, const D: usize> RowKernel<R> for Forward<'_, R, T,
     }
 }
 
-/// The forward pass, on plain numbers; keeps F.
+/// The forward pass, on plain numbers; keeps F. Copies have what their owners have found.
 pub fn forward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], kept: &mut PairCache<R>, density: &mut [R]) {
     kept.make_room(&step.model, &step.list, moved);
     evolve(step, dt, moved, &mut kept.slope, density);
@@ -204,6 +204,7 @@ pub fn forward<R: Real>(step: &Step<R>, dt: f64, moved: &[R], kept: &mut PairCac
         for i in (0..n).filter(|&i| !model.is_fluid(i)) {
             density[i] = moved[model.layout.moved_density() * n + i];
         }
+        model.refresh(density);
     }
 }
 
@@ -220,15 +221,18 @@ fn evolve<R: Real>(step: &Step<R>, dt: f64, moved: &[R], slope: &mut [R], densit
     density[..n].copy_from_slice(before);
     let of_term = pack_term(step, moved, &records, None);
     let (records, of_term) = (Records::new(&records, WIDTH, n), Records::new(&of_term, of_term.len() / n.max(1), n));
-    let rows = if walls_evolve(model, dt) { pairs::all_rows(list) } else { list.fluid_rows.len() };
+    let walls_evolve = walls_evolve(model, dt);
     {
         let (density, slope) = (Own::new(&mut *density), Own::new(slope));
-        with_term!(model, |term| with_dimension!(model.layout.dimension, |D| run_rows(
-            &Forward::<R, _, D> { step, dt, term, records, of_term, before, density, slope },
-            rows,
-        )));
+        with_term!(model, |term| with_dimension!(model.layout.dimension, |D| {
+            let kernel = Forward::<R, _, D> { step, dt, term, records, of_term, before, density, slope };
+            match walls_evolve {
+                true => run_rows(&kernel, pairs::all_rows(list)),
+                false => model.sweep(list, &kernel, &kernel.density, 1),
+            }
+        }));
     }
-    if model.laws.renormalises {
+    if walls_evolve {
         model.refresh(density);
     }
 }

@@ -199,7 +199,8 @@ pub fn forward<R: Real>(step: &Step<R>, moved: &[R], kept: &PairCache<R>, rates:
     with_laws!(&*step.model, |laws, D| {
         let faces = faces_of(&laws, step, moved, kept);
         let faces = Records::new(&faces, faces.len() / n.max(1), n);
-        run_rows(&Forward::<R, _, D> { step, laws, kept, faces, mass, rates }, step.list.fluid_rows.len())
+        let kernel = Forward::<R, _, D> { step, laws, kept, faces, mass, rates };
+        step.model.sweep(&step.list, &kernel, &kernel.rates, step.model.layout.rate_rows());
     })
 }
 

@@ -118,7 +118,6 @@ impl<R: Sweeps> WholeStep<R> {
                     true => R::evolution(&step, dt, &moved, &mut kept, &mut density),
                     false => R::density(&step, &moved, &mut kept, &mut density),
                 }
-                model.refresh(&mut density);
             }
         }
         // The adjoints read the primitives only for their evolved density.

@@ -49,7 +49,6 @@ impl<R: Sweeps> Buffers<R> {
             true => R::evolution(step, dt, &self.moved, &mut self.kept, &mut self.density),
             false => R::density(step, &self.moved, &mut self.kept, &mut self.density),
         }
-        self.model.refresh(&mut self.density);
         let primitives = shows.then_some(self.primitives.as_mut_slice());
         R::primitives(step, &self.moved, &self.density, &mut self.kept, primitives);
     }
