@@ -31,6 +31,8 @@ fn hydrograd(ranks: usize) -> Command {
     let mut command = Command::new("mpirun");
     // Tests run in containers, as root and with fewer cores than ranks.
     command.env("OMPI_ALLOW_RUN_AS_ROOT", "1").env("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1");
+    // Ranks that wait leave their core to other tests.
+    command.env("OMPI_MCA_mpi_yield_when_idle", "1");
     command.args(["-n", &ranks.to_string(), "--oversubscribe", "--bind-to", "none"]).arg(&program);
     command
 }
