@@ -178,6 +178,7 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let folder = arguments.common.folder(None, KIND, &loaded)?;
     let store = Store::new(&folder);
     let who = Who::of(&loaded, &recipe, ranks)?;
+    let work = Work { store: &store, loaded: &loaded, recipe: &recipe, ranks, who };
     let of_rank = match who {
         Who::Together { .. } => Shard::ALL,
         Who::Apart => Shard { index: ranks.rank(), count: ranks.size() },
@@ -188,7 +189,7 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
         if goes_on(ranks, true) {
             interrupt::listen_quietly()?;
             let is_told = |error: &anyhow::Error| matches!(error.downcast_ref(), Some(Error::Diverged { .. }));
-            match (share(&store, &loaded, &recipe, &mine, (who, ranks)), who) {
+            match (work.share(&mine), who) {
                 // All have it, and the first rank tells it.
                 (Err(error), Who::Together { .. }) if is_told(&error) => {}
                 (shared, _) => {
@@ -228,7 +229,7 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
             Who::Together { particles } => println!("{} ranks share every flow of {particles} particles", ranks.size()),
         }
     }
-    let made = share(&store, &loaded, &recipe, &mine, (who, ranks))?;
+    let made = work.share(&mine)?;
     let Made { made: count, kept, seconds, workers } = made;
     let each = seconds * workers as f64 / count.max(1) as f64;
     println!(
@@ -281,53 +282,96 @@ impl Who {
     }
 }
 
-/// Makes those of the given trajectories that are not there yet. All ranks do so, and know of all when they are done.
-fn share(
-    store: &Store,
-    loaded: &Loaded,
-    recipe: &Recipe,
-    mine: &[Job],
-    (who, ranks): (Who, &Ranks),
-) -> anyhow::Result<Made> {
-    let clock = Instant::now();
-    let own = missing_of(store, loaded, recipe, mine, (who, ranks));
-    if let Who::Together { .. } = who {
-        return own.map(|own| Made { seconds: clock.elapsed().as_secs_f64(), ..own });
-    }
-    let numbers = own.as_ref().map_or([0.0; 3], |own| [own.made, own.kept, own.workers].map(|count| count as f64));
-    // Also where this one was stopped: the others wait here.
-    let all = ranks.sum(&numbers);
-    own?;
-    let [made, kept, workers] = [0, 1, 2].map(|k| all[k] as usize);
-    Ok(Made { made, kept, workers, seconds: clock.elapsed().as_secs_f64() })
+/// The trajectories of a data set, and who makes them.
+struct Work<'a> {
+    store: &'a Store,
+    loaded: &'a Loaded,
+    recipe: &'a Recipe,
+    ranks: &'a Ranks,
+    who: Who,
 }
 
-/// This rank's part of [`share`].
-fn missing_of(
-    store: &Store,
-    loaded: &Loaded,
-    recipe: &Recipe,
-    mine: &[Job],
-    (who, ranks): (Who, &Ranks),
-) -> anyhow::Result<Made> {
-    let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
-    if let Who::Together { .. } = who {
-        // All ranks have looked for what is missing before the first one writes any of it.
-        ranks.wait();
-        let threads = threads_of(ranks, loaded.config.run.threads);
-        make_together(store, loaded, recipe, &todo, threads, ranks)?;
-        return Ok(Made { made: todo.len(), kept: mine.len() - todo.len(), workers: ranks.size(), ..Made::default() });
+impl Work<'_> {
+    /// Makes those of the given trajectories that are not there yet. All ranks do so, and know of all when they are done.
+    fn share(&self, mine: &[Job]) -> anyhow::Result<Made> {
+        let clock = Instant::now();
+        let own = self.missing_of(mine);
+        if let Who::Together { .. } = self.who {
+            return own.map(|own| Made { seconds: clock.elapsed().as_secs_f64(), ..own });
+        }
+        let numbers = own.as_ref().map_or([0.0; 3], |own| [own.made, own.kept, own.workers].map(|count| count as f64));
+        // Also where this one was stopped: the others wait here.
+        let all = self.ranks.sum(&numbers);
+        own?;
+        let [made, kept, workers] = [0, 1, 2].map(|k| all[k] as usize);
+        Ok(Made { made, kept, workers, seconds: clock.elapsed().as_secs_f64() })
     }
-    for &job in mine.iter().filter(|job| !todo.contains(job)) {
-        open(&store.part(job), "trajectory").map_err(|error| {
-            BadInput::new(error.to_string())
-                .place(format!("--out {}", store.folder.display()))
-                .allowed("trajectories as they were written")
-                .advice(format!("remove {} and give the same command again", store.part(job).display()))
-        })?;
+
+    /// This rank's part of [`Self::share`].
+    fn missing_of(&self, mine: &[Job]) -> anyhow::Result<Made> {
+        let store = self.store;
+        let todo: Vec<Job> = mine.iter().copied().filter(|&job| !store.part(job).is_file()).collect();
+        for &job in mine.iter().filter(|job| !todo.contains(job)) {
+            open(&store.part(job), "trajectory").map_err(|error| {
+                BadInput::new(error.to_string())
+                    .place(format!("--out {}", store.folder.display()))
+                    .allowed("trajectories as they were written")
+                    .advice(format!("remove {} and give the same command again", store.part(job).display()))
+            })?;
+        }
+        let workers = self.make(&todo)?;
+        Ok(Made { made: todo.len(), kept: mine.len() - todo.len(), workers, ..Made::default() })
     }
-    let workers = make(store, loaded, recipe, &todo, threads_of(ranks, loaded.config.run.threads))?;
-    Ok(Made { made: todo.len(), kept: mine.len() - todo.len(), workers, ..Made::default() })
+
+    /// Makes trajectories with as many workers as threads, or one after the other with all ranks; returns the number of workers.
+    fn make(&self, jobs: &[Job]) -> anyhow::Result<usize> {
+        let threads = threads_of(self.ranks, self.loaded.config.run.threads);
+        let bar = Progress::new((jobs.len() * self.recipe.frames) as u64, "generate");
+        let (workers, made) = match self.who {
+            Who::Together { .. } => {
+                use_threads(threads);
+                // All ranks have looked for what is missing before the first one writes any of it.
+                self.ranks.wait();
+                (self.ranks.size(), jobs.iter().try_for_each(|&job| self.one(job, &bar, self.ranks)))
+            }
+            Who::Apart => {
+                // Workers are independent; operators with several threads would only wait for each other.
+                use_threads(1);
+                let workers = workers(threads, jobs.len());
+                (workers, share_out(workers, jobs, |&job| self.one(job, &bar, &Ranks::ALONE)).map(drop))
+            }
+        };
+        bar.finish();
+        made.map(|()| workers)
+    }
+
+    fn one(&self, job: Job, bar: &Progress, ranks: &Ranks) -> anyhow::Result<()> {
+        let Self { store, loaded, recipe, .. } = self;
+        let ready = recipe.ready(loaded, job)?;
+        let progress = || bar.done(1);
+        let trajectory = match ready.config.run.precision {
+            Precision::F32 => record::<f32>(&ready, &progress, ranks)?,
+            Precision::F64 => record::<f64>(&ready, &progress, ranks)?,
+        };
+        let Some(mut trajectory) = trajectory else { return Ok(()) };
+        if recipe.objective {
+            let (value, by_nodes) = objective(loaded, &trajectory.wall_offset)?;
+            (trajectory.objective, trajectory.objective_gradient) = (Some(value), by_nodes);
+        }
+        let provenance = Provenance {
+            configuration: ready.config.recorded()?,
+            seed: ready.config.run.seed,
+            version: VERSION.into(),
+            wall: ready.wall,
+        };
+        match store.write_part(job, &trajectory, &provenance) {
+            // Another process has made and merged all of them.
+            Err(_) if store.is_complete() => {}
+            result => result?,
+        }
+        bar.message(job.to_string());
+        Ok(())
+    }
 }
 
 /// The trajectories that all processes of a command made or found.
@@ -428,60 +472,6 @@ fn check_same(store: &Store, loaded: &Loaded, recipe: &Recipe) -> Result<(), Err
             .advice("another --out, or remove the folder")
             .into())
     })
-}
-
-/// Makes trajectories with as many workers as threads, and returns their number.
-fn make(store: &Store, loaded: &Loaded, recipe: &Recipe, jobs: &[Job], threads: usize) -> anyhow::Result<usize> {
-    // Workers are independent; operators with several threads would only wait for each other.
-    use_threads(1);
-    let workers = workers(threads, jobs.len());
-    let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
-    let made = share_out(workers, jobs, |&job| one(store, loaded, recipe, job, &bar, &Ranks::ALONE));
-    bar.finish();
-    made.map(|_| workers)
-}
-
-/// Makes one trajectory after the other, each by all ranks.
-fn make_together(
-    store: &Store,
-    loaded: &Loaded,
-    recipe: &Recipe,
-    jobs: &[Job],
-    threads: usize,
-    ranks: &Ranks,
-) -> anyhow::Result<()> {
-    use_threads(threads);
-    let bar = Progress::new((jobs.len() * recipe.frames) as u64, "generate");
-    jobs.iter().try_for_each(|&job| one(store, loaded, recipe, job, &bar, ranks))?;
-    bar.finish();
-    Ok(())
-}
-
-fn one(store: &Store, loaded: &Loaded, recipe: &Recipe, job: Job, bar: &Progress, ranks: &Ranks) -> anyhow::Result<()> {
-    let ready = recipe.ready(loaded, job)?;
-    let progress = || bar.done(1);
-    let trajectory = match ready.config.run.precision {
-        Precision::F32 => record::<f32>(&ready, &progress, ranks)?,
-        Precision::F64 => record::<f64>(&ready, &progress, ranks)?,
-    };
-    let Some(mut trajectory) = trajectory else { return Ok(()) };
-    if recipe.objective {
-        let (value, by_nodes) = objective(loaded, &trajectory.wall_offset)?;
-        (trajectory.objective, trajectory.objective_gradient) = (Some(value), by_nodes);
-    }
-    let provenance = Provenance {
-        configuration: ready.config.recorded()?,
-        seed: ready.config.run.seed,
-        version: VERSION.into(),
-        wall: ready.wall,
-    };
-    match store.write_part(job, &trajectory, &provenance) {
-        // Another process has made and merged all of them.
-        Err(_) if store.is_complete() => {}
-        result => result?,
-    }
-    bar.message(job.to_string());
-    Ok(())
 }
 
 pub fn parse_trajectories(text: &str) -> Result<[usize; 3], String> {

@@ -1,10 +1,10 @@
 //! One flow over several ranks: each has the particles in its block, and copies of those near it.
 //!
-//! A step on a rank is that of [`Solver`] on its part of the particles ([`super::part`]). Copies get their owners' state before every
-//! step, or what it follows from, and what operators found for them within it before another operator reads that. All ranks build the neighbour list anew in the
-//! same step, as soon as anywhere a particle has moved half the skin. Copies serve for `LISTS` lists. Before the next one is built,
-//! particles that have left a block ([`Decomposition`]) are handed over, with the state before the step, which then begins again. Where a
-//! rank has come to have `UNEVEN` times as many particles as the mean, the box is cut anew.
+//! A step on a rank is that of [`Solver`] on its part of the particles ([`super::part`]). Copies get their owners' state, or the rates that
+//! it follows from, in every step, and what operators found for them before another operator reads that. All ranks build the neighbour
+//! list anew in the same step, as soon as anywhere a particle has moved half the skin. Copies serve for `LISTS` lists. Before the next one
+//! is built, particles that have left a block ([`Decomposition`]) are handed over with the state before the step, which then begins again.
+//! Where a rank has come to have `UNEVEN` times as many particles as the mean, the box is cut anew.
 //!
 //! On every rank particles are in the order of the whole flow, so sums over neighbours run in the same order as on one rank, but for
 //! rounding where cells of the neighbour search begin elsewhere. Sums over all particles are added in the order of the ranks.
@@ -49,7 +49,7 @@ const AT_A_TIME: usize = 1 << 15;
 const GO_ON: f64 = 0.0;
 const SHOW: f64 = 1.0;
 const END: f64 = 2.0;
-/// The end, because somebody asked to stop.
+/// The end, because somebody asked to stop by a signal, whose number is added.
 const STOP: f64 = 3.0;
 
 /// How a run was shared out, over all ranks.
@@ -392,10 +392,15 @@ impl<R: Sweeps> Share<R> {
         Ok(Self { terms, seat, solver, handed_over: 0, cut: 1, began: at.step, seconds: 0.0 })
     }
 
-    /// What the first rank wants before the next step, and in how many parts that is made.
+    /// What the first rank wants before the next step, and in how many parts that is made. The others tell by which signal they were
+    /// asked to stop, which the first one then does after this step.
     fn agree(&self, wanted: f64) -> (f64, usize) {
         let parts = self.solver.model.parts(&self.solver.state).max(self.solver.least_parts);
         let all = self.terms.ranks.all(&[wanted, parts as f64]);
+        let signal = all.chunks_exact(2).skip(1).map(|of| of[0] as i32).find(|&signal| signal > 0);
+        if let Some(signal) = signal.filter(|_| self.terms.ranks.rank() == 0) {
+            interrupt::ask(signal);
+        }
         let most = all.chunks_exact(2).map(|of| of[1]).fold(1.0, f64::max);
         (all[0], most as usize)
     }
@@ -539,7 +544,7 @@ pub fn lead<R: Sweeps>(
         let is_checked = step.is_multiple_of(CHECK_EVERY) || ends;
         let is_seen = is_checked || observers.iter().any(|observer| observer.wants(step));
         let wanted = match (ends, is_seen) {
-            _ if stop.is_err() => STOP,
+            _ if stop.is_err() => STOP + f64::from(interrupt::asked().unwrap_or_default()),
             (true, _) => END,
             (_, true) => SHOW,
             _ => GO_ON,
@@ -591,14 +596,19 @@ pub fn follow<R: Sweeps>(
     let mut share = Share::begun(terms, seat, &at)?;
     drop(at);
     loop {
-        let (wanted, parts) = share.agree(GO_ON);
+        let (wanted, parts) = share.agree(f64::from(interrupt::asked().unwrap_or_default()));
         share.write(&mut pieces)?;
         if wanted != GO_ON {
             share.show(None, true)?;
         }
-        if wanted == END || wanted == STOP {
+        if wanted >= END {
             share.shares();
-            return if wanted == END { Ok(()) } else { Err(Error::Stopped.into()) };
+            if wanted == END {
+                return Ok(());
+            }
+            // Only one of the ranks may have got it.
+            interrupt::ask((wanted - STOP) as i32);
+            return Err(Error::Stopped.into());
         }
         if wanted != GO_ON {
             ranks.wait();
