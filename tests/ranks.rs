@@ -310,13 +310,13 @@ fn a_flow_goes_on_with_other_ranks() {
 fn a_flow_that_ended_early_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let scene = "taylor-green --set time.step=0.0005 --set time.end=20";
-    for end in ["killed", "stopped", "one stopped", "unwritable"] {
+    for end in ["killed", "stopped", "one-stopped", "unwritable"] {
         let out = folder.path().join(end);
         let child = started(&mut simulate(2, scene, &out), &out.join("checkpoint.safetensors"));
         match end {
             "killed" => signal(ranks_of(&child)[1], libc::SIGKILL),
             "stopped" => signal(i32::try_from(child.id()).unwrap(), libc::SIGTERM),
-            "one stopped" => signal(ranks_of(&child)[0], libc::SIGTERM),
+            "one-stopped" => signal(ranks_of(&child)[0], libc::SIGTERM),
             _ => {
                 std::fs::remove_file(out.join("history.csv")).unwrap();
                 std::fs::create_dir_all(out.join("history.csv/full")).unwrap();
@@ -331,7 +331,7 @@ fn a_flow_that_ended_early_goes_on() {
                 let told = "go on from what was kept last: hydrograd simulate --resume";
                 assert!(said.contains("signal 9") && said.matches(told).count() == 1, "{said}");
             }
-            "stopped" | "one stopped" => {
+            "stopped" | "one-stopped" => {
                 assert_eq!(said.matches("keeps what there is").count(), 1, "one rank speaks: {said}");
                 assert!(!said.contains("does not answer"), "{said}");
             }
