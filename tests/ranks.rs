@@ -383,20 +383,22 @@ fn frames_are_written_in_pieces() {
     }
 }
 
+/// A data set by `hydrograd generate` with so many ranks: its folder, and what was printed.
+fn generated(ranks: usize, set: &str, out: PathBuf) -> (PathBuf, String) {
+    let mut command = hydrograd(ranks);
+    command.arg("generate").args(set.split(' ')).args(["--threads", "1", "--out"]).arg(&out);
+    let output = output(&mut command);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+    (out, said)
+}
+
 /// Where there are fewer flows than ranks, these share every flow, also the rest before it.
 #[test]
 fn a_data_set_of_shared_flows_is_that_of_one() {
     let folder = tempfile::tempdir().unwrap();
-    let make = |ranks: usize, name: &str| {
-        let out = folder.path().join(name);
-        let mut command = hydrograd(ranks);
-        command.args("generate taylor-green --dx 0.04 --trajectories 1/1/0 --frames 5 --relax 200".split(' '));
-        command.args("--every 10 --threads 1 --precision f64 --out".split(' ')).arg(&out);
-        let output = output(&mut command);
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
-        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
-        (out, said)
-    };
+    let set = "taylor-green --dx 0.04 --trajectories 1/1/0 --frames 5 --relax 200 --every 10 --precision f64";
+    let make = |ranks: usize, name: &str| generated(ranks, set, folder.path().join(name));
     let ((alone, _), (shared, said)) = (make(0, "alone"), make(3, "shared"));
     assert!(said.contains("3 ranks share every flow of 625 particles"), "{said}");
     for split in ["train", "valid"] {
@@ -497,16 +499,8 @@ fn a_search_over_ranks_is_that_of_one() {
 #[test]
 fn a_data_set_by_ranks_is_that_of_one() {
     let folder = tempfile::tempdir().unwrap();
-    let make = |ranks: usize, name: &str| {
-        let out = folder.path().join(name);
-        let mut command = hydrograd(ranks);
-        command.args("generate heated-channel --set resolution.dx=0.025 --skip 20".split(' '));
-        command.args("--trajectories 3/1/1 --frames 6 --threads 1 --out".split(' ')).arg(&out);
-        let output = output(&mut command);
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
-        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
-        (out, said)
-    };
+    let set = "heated-channel --set resolution.dx=0.025 --skip 20 --trajectories 3/1/1 --frames 6";
+    let make = |ranks: usize, name: &str| generated(ranks, set, folder.path().join(name));
     let ((alone, _), (shared, said)) = (make(0, "alone"), make(3, "shared"));
     assert!(said.contains("3 ranks: each makes whole flows") && said.contains("5 trajectories made"), "{said}");
     for split in ["train", "valid", "test"] {
