@@ -94,12 +94,12 @@ fn search_share(
 
 /// Runs the starts of this one of several ranks, when all of them do so. The first one then compares all starts.
 pub fn starts_of_rank(loaded: &Loaded, folder: &Path, ranks: &Ranks) -> anyhow::Result<()> {
-    ranks.all(&[0.0]);
+    ranks.wait();
     let threads = threads_of(ranks, loaded.config.run.threads);
     let shard = Shard { index: ranks.rank(), count: ranks.size() };
     let searched = search_share(loaded, folder, shard, threads);
     // Also where this one was stopped: the others wait here.
-    ranks.all(&[0.0]);
+    ranks.wait();
     searched.map(drop)
 }
 

@@ -164,7 +164,7 @@ fn follow(arguments: &TrainArguments, ranks: &Ranks) -> anyhow::Result<()> {
     let begun = arguments.begin(ranks)?;
     let mut training = begun.training(arguments, ranks)?;
     interrupt::listen_quietly()?;
-    ranks.all(&[0.0]);
+    ranks.wait();
     training.follow()
 }
 
