@@ -64,6 +64,22 @@ fn check_row(row: &Value) {
     assert!((number("ns_per_particle_step") / (1e6 * ms / n) - 1.0).abs() < 1e-12);
     assert!((number("ns_per_pair") / (1e6 * ms / pairs) - 1.0).abs() < 1e-12);
     assert_eq!(row.get("adjoint_over_forward").is_some(), text("kind") == "gradient");
+    let has_groups = ["step", "gradient", "scaling"].contains(&&*text("group"));
+    let is_whole = row.get("mode").is_none_or(|mode| mode == "every state");
+    assert_eq!(row.get("roofline_ms_per_step").is_some(), has_groups && is_whole, "{row}");
+    if has_groups && is_whole {
+        // What the machine needs at least is what the slower needs of computing and memory.
+        let (gflop, gigabytes) = (number("gflop_per_step"), 1e-9 * number("bytes_per_step"));
+        let least = (gflop / number("peak_gflops")).max(gigabytes / number("gigabytes_per_second"));
+        assert!((1e-3 * number("roofline_ms_per_step") / least - 1.0).abs() < 1e-12, "{row}");
+        // Sums over the neighbours, each of differences, a distance and a kernel: two in the standard method, four with the products of
+        // fits in the consistent one; and about three times as many with the adjoint.
+        let of_pair = 1e9 * gflop / pairs;
+        let expected = if text("kind") == "forward" { 60.0..600.0 } else { 200.0..1500.0 };
+        assert!(expected.contains(&of_pair), "{of_pair}: {row}");
+        // State, list and fields: tens of numbers of a particle, and two of a pair.
+        assert!((300.0..10_000.0).contains(&(1e9 * gigabytes / n)), "{row}");
+    }
 }
 
 #[test]

@@ -159,6 +159,33 @@ fn differences_of_runs_are_a_gradient() {
     assert!(found.solver_steps >= 4 * 12);
 }
 
+/// The ensemble's value and gradient are the means of its members', and its errors those of means.
+#[test]
+fn an_ensemble_averages_over_starts() {
+    let disc = "kind = \"disc\"\ncentre = [0.3, 0.19]\nradius = 0.08";
+    let text = channel(disc, &[variable("centre[1]", 0.1, 0.3), variable("radius", 0.06, 0.1)], "flow-rate");
+    let of = |gradient: &str, seed: u64| {
+        let text = text.replace("\"segments\"", &format!("\"{gradient}\"\nmembers = 3"));
+        let problem = problem(&format!("{text}[run]\nseed = {seed}\n"));
+        problem.differentiate(&problem.first, &Schedule::taped(problem.steps), &mut |_| ()).unwrap()
+    };
+    let ensemble = of("ensemble", 5);
+    let members = [0, 1, 2].map(|k| of("differences", 5 + (k << 32)));
+    let mean = |values: [f64; 3]| values.iter().sum::<f64>() / 3.0;
+    let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-12 * b.abs(), "{a} {b}");
+    close(ensemble.value, mean(members.each_ref().map(|one| one.value)));
+    assert_eq!((ensemble.by_variables.len(), ensemble.errors.len()), (2, 2));
+    for k in 0..2 {
+        let slopes = members.each_ref().map(|one| one.by_variables[k]);
+        close(ensemble.by_variables[k], mean(slopes));
+        let squares: f64 = slopes.iter().map(|slope| (slope - mean(slopes)).powi(2)).sum();
+        assert!(squares > 0.0, "the members are the same");
+        close(ensemble.errors[k], (squares / 2.0 / 3.0).sqrt());
+    }
+    assert_eq!(ensemble.solver_steps, members.iter().map(|one| one.solver_steps).sum::<usize>());
+    assert!(members[0].errors.is_empty());
+}
+
 #[test]
 fn wrong_variables_are_one_clear_error() {
     let disc = "kind = \"disc\"\ncentre = [0.3, 0.2]\nradius = 0.08";
@@ -187,6 +214,11 @@ fn wrong_variables_are_one_clear_error() {
         ),
         (good.replace("target_x = 0.5", "target_x = 5.0"), &["objective.target_x = 5 is outside", "0 ... 0.6"]),
         (good.replace("\"segments\"", "\"steady\""), &["optimise.gradient = steady", "differences"]),
+        (
+            good.replace("\"segments\"", "\"ensemble\"").replace("jitter = 0.05", "jitter = 0.0"),
+            &["optimise.gradient = ensemble with time.jitter = 0", "time.jitter=0.05"],
+        ),
+        (good.replace("\"segments\"", "\"ensemble\"\nmembers = 1"), &["optimise.members = 1", "2"]),
         (good.replace("[fluid]", "[method]\nname = \"standard\"\n[fluid]"), &["variables in the standard method"]),
         (format!("variables = 3\n{disc}"), &["variables", "mine.toml"]),
     ];

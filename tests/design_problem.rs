@@ -257,6 +257,29 @@ fn a_finished_optimiser_ends_the_run() {
     assert!(optimisation.optimiser.is_done() && optimisation.history.len() < 60, "{}", optimisation.history.len());
 }
 
+/// An ensemble's gradient that is not larger than its error ends the search, also of one that is resumed.
+#[test]
+fn a_gradient_within_its_error_ends_the_run() {
+    let (config, problem) = problem(&["design.nodes=[0.4, 0.6]", "design.offsets=[0.0, 0.0]", METHODS[0]]);
+    let new = |x: &[f64]| optimisers::of_config(&config.optimise, x);
+    let bowl = |x: &[f64]| {
+        let loss: f64 = x.iter().map(|x| (x - 0.005) * (x - 0.005)).sum();
+        let gradient = x.iter().map(|x| 2.0 * (x - 0.005)).collect();
+        Ok(Evaluation { figure: -loss, loss, gradient, gradient_error: 5e-3, ..Evaluation::default() })
+    };
+    let mut found = Optimisation::new(new(&problem.first));
+    go_on(&config, &problem, bowl, &mut found, 1000).unwrap();
+    let (last, before) = (&found.history[found.history.len() - 1], &found.history[found.history.len() - 2]);
+    assert!(last.gradient_norm <= 5e-3 && before.gradient_norm > 5e-3, "{:?}", found.column(|e| e.gradient_norm));
+    assert!(!found.optimiser.is_done());
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("checkpoint.safetensors");
+    checkpoint::write(&path, &found, &[]).unwrap();
+    let restored = checkpoint::restore(&TensorFile::read(&path).unwrap(), &*problem.parametrisation, new).unwrap();
+    assert!(restored.is_finished(1000));
+    assert_eq!(restored.history, found.history);
+}
+
 /// What the walls give to the fluid is what flows out of it, once the flow is steady; and a wall that is better by one figure
 /// is better by the other.
 #[test]

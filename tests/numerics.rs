@@ -7,6 +7,7 @@ use hydrograd::numerics::interrupt::{check, check_own, is_asked_here, Stop};
 use hydrograd::numerics::krylov::gmres;
 use hydrograd::numerics::pool::Buffers;
 use hydrograd::numerics::ranks::{started, How, Ranks};
+use hydrograd::numerics::roofline::Roofline;
 use hydrograd::numerics::sparse_lu::BlockMatrix;
 use hydrograd::numerics::sweep::{clear, copied, copy, run_each, zeros, Shared, STRETCH};
 use hydrograd::numerics::total::Total;
@@ -20,6 +21,16 @@ fn keep<T: bytemuck::Pod>(blocks: &Blocks, values: &[T]) -> Block {
 /// Where a block is in memory.
 fn place(block: &Block) -> usize {
     block.read(|bytes: &[u8]| bytes.as_ptr() as usize)
+}
+
+/// What a machine needs at least is what the slower of computing and memory needs.
+#[test]
+fn a_roofline_is_the_slower_of_two() {
+    let machine = Roofline { operations: 10.0, bytes: 4.0 };
+    assert_eq!((machine.seconds(20.0, 4.0), machine.seconds(1.0, 4.0)), (2.0, 1.0));
+    let measured = Roofline::measure::<f32>(1 << 16);
+    // Slower than a processor of 1990, or faster than all that there are.
+    assert!((1e6..1e15).contains(&measured.operations) && (1e6..1e15).contains(&measured.bytes), "{measured:?}");
 }
 
 #[test]

@@ -550,7 +550,7 @@ fn searches_that_ranks_cannot_share_are_told_once() {
         ("optimize heated-channel --compare", "a comparison of searches over several ranks", "without mpirun"),
         ("check-gradient heated-channel --method fixed", "method.name = fixed over several ranks", "without mpirun"),
         ("check-gradient heated-channel --set optimise.clip=10", "a clipped gradient", "optimise.clip=0"),
-        ("check-gradient heated-channel --set optimise.gradient=truncated", "through a whole run", "segments"),
+        ("check-gradient heated-channel --set optimise.gradient=truncated", "not that of one whole run", "segments"),
         ("check-gradient heated-channel --set time.adaptive=true", "time.adaptive", "time.adaptive=false"),
     ] {
         let mut command = hydrograd(2);

@@ -59,7 +59,7 @@ time = { end = 0.2 }
 "#;
 
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 25] = [
+const RUNS: [(&str, &str); 26] = [
     ("periodic", "simulate periodic.toml"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.window=0.02"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.periods=2 --set objective.period=0.01"),
@@ -83,6 +83,7 @@ const RUNS: [(&str, &str); 25] = [
     ("walls", "optimize heated-channel-3d --epochs 1 --no-verify --set time.steps=20 --set objective.window=0.01"),
     ("shapes", "optimize pin.toml --epochs 1"),
     ("shapes", "optimize pin.toml --epochs 1 --no-verify --set objective.kind=flow-rate"),
+    ("shapes", "optimize pin.toml --epochs 1 --no-verify --set optimise.gradient=ensemble --set optimise.members=2 --set time.jitter=0.05"),
     ("starts", "optimize --start all --epochs 1"),
     ("recover", "recover taylor-green --set resolution.dx=0.1 --set time.steps=10 --epochs 2"),
     ("recover", "recover falling-block --set resolution.dx=0.1 --set time.steps=10 --epochs 2"),

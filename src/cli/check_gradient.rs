@@ -110,7 +110,7 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments, ranks: &Ranks) -> 
     }
     // The adjoint is checked, whatever gradient an optimiser uses.
     let mut config = loaded.config.clone();
-    if config.optimise.gradient == GradientMode::Differences {
+    if config.optimise.gradient.is_of_runs() {
         config.optimise.gradient = GradientMode::Segments;
     }
     let config = &config;

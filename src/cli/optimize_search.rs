@@ -135,7 +135,7 @@ impl Watch for Kept<'_> {
         self.confirmed(now)?;
         self.told = Instant::now();
         let Some(last) = now.history.last() else { return Ok(()) };
-        let Epoch { figure, loss, gradient_norm, seconds, failure, .. } = last;
+        let Epoch { figure, loss, gradient_norm, gradient_error, seconds, failure, .. } = last;
         let (epoch, symbol) = (format!("{}epoch {:3}", self.name, now.history.len()), self.figure.symbol);
         if let Some(failure) = failure {
             self.bar.log(&format!("{epoch}  rejected, the next step is shorter: {failure}  {seconds:.1} s"));
@@ -143,9 +143,15 @@ impl Watch for Kept<'_> {
         }
         self.bar.message(format!("{symbol} {figure:.6} |gradient| {gradient_norm:.2e}"));
         let both = both_sides(last);
+        let error = if *gradient_error > 0.0 { format!(" +- {gradient_error:.1e}") } else { String::new() };
         self.bar.log(&format!(
-            "{epoch}  {symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{both}  {seconds:.1} s"
+            "{epoch}  {symbol} {figure:.6}  loss {loss:+.6}  |gradient| {gradient_norm:.3e}{error}{both}  {seconds:.1} s"
         ));
+        if last.is_within_error() {
+            self.bar.log(
+                "the gradient is within its error: more members (optimise.members), not more epochs, would tell more",
+            );
+        }
         Ok(())
     }
 
@@ -191,7 +197,7 @@ fn begin(search: &Search<'_>, first: &[f64], how: Begin<'_>) -> anyhow::Result<O
         false => return Ok(optimisation),
         // Plots, figures or checks are missing.
         true if !how.name.is_empty() || is_unfinished(from, KIND) => return Ok(optimisation),
-        true if optimisation.optimiser.is_done() => BadInput::new("the optimiser has found the best wall that it can")
+        true if optimisation.is_done() => BadInput::new("the optimiser has found the best wall that it can")
             .allowed("a run whose optimiser has not stopped by itself")
             .advice("a new run from another start shape"),
         true => has_its_epochs(epochs),

@@ -87,9 +87,9 @@ pub fn check_flow(loaded: &Loaded) -> Result<(), BadInput> {
 pub fn check_design(loaded: &Loaded) -> Result<(), BadInput> {
     check_flow(loaded)?;
     let optimise = &loaded.config.optimise;
-    if matches!(optimise.gradient, GradientMode::Truncated | GradientMode::Steady) {
+    if matches!(optimise.gradient, GradientMode::Truncated | GradientMode::Steady | GradientMode::Ensemble) {
         return Err(loaded.located(
-            BadInput::new("a gradient over several ranks that does not go back through a whole run")
+            BadInput::new("a gradient over several ranks that is not that of one whole run")
                 .key("optimise.gradient")
                 .allowed("segments, taped, or differences of runs")
                 .advice("optimise.gradient=segments"),

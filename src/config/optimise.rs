@@ -210,6 +210,8 @@ section! {
         /// [`crate::adjoint::schedule::Schedule::clip`]; 0: no limit.
         clip: f64 = 0.0, NotNegative;
         difference: f64 = 0.05, Within(1e-6, 0.5);
+        /// Starts over which `ensemble` averages.
+        members: usize = 8, Within(2.0, 1000.0);
         dynamics: DynamicsName = DynamicsName::Solver;
     }
 }
@@ -243,6 +245,15 @@ pub enum GradientMode {
     Steady,
     /// Of runs with numbers a little larger and smaller, for the few numbers of shapes.
     Differences,
+    /// The mean of these over several starts, whose particles are disordered in different ways, with its standard error.
+    Ensemble,
+}
+
+impl GradientMode {
+    /// Whether gradients are found from runs alone, without adjoints.
+    pub fn is_of_runs(self) -> bool {
+        matches!(self, Self::Differences | Self::Ensemble)
+    }
 }
 
 /// What judges walls while the optimiser searches. What it finds is judged by the solver in any case.
@@ -260,13 +271,13 @@ impl Optimise {
     /// Checks that the gradient is limited only if it goes back through a run, and that states are rounded only if the
     /// schedule keeps every state of a run in double precision.
     pub fn check(&self, precision: Precision) -> Result<(), BadInput> {
-        let has_none = matches!(self.gradient, GradientMode::Steady | GradientMode::Differences);
+        let has_none = self.gradient == GradientMode::Steady || self.gradient.is_of_runs();
         if has_none && self.clip > 0.0 {
             return Err(BadInput::at(
                 "optimise.clip",
                 "optimise.clip with a gradient that does not go back through a run",
             )
-            .allowed("0 with optimise.gradient = steady or differences")
+            .allowed("0 with optimise.gradient = steady, differences or ensemble")
             .advice("optimise.gradient=segments, or optimise.clip=0"));
         }
         let every_state = self.gradient != GradientMode::Taped && self.segment <= 1;

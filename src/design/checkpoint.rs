@@ -5,6 +5,7 @@
 //!   offsets_best [K]            the best one
 //!   history.offsets [E, K]      of each epoch: variables,
 //!   history.q, .loss, .gradient_norm, .seconds [E]      objective, loss, norm of its gradient, time
+//!   history.gradient_error [E]  of gradients that are averaged over an ensemble, see [`super::problem::Evaluation`]
 //!   history.truth_q, .truth_loss, .predicted_q, .solver_steps [E]     by solver and surrogate; NaN where not evaluated
 //!   adam.*                      what the optimiser adds, see [`Optimiser::save`]
 //! ```
@@ -35,6 +36,9 @@ pub fn write(path: &Path, optimisation: &Optimisation, notes: &[(&str, String)])
     record.put("history.q", &[epochs], optimisation.column(|e| e.figure));
     record.put("history.loss", &[epochs], optimisation.column(|e| e.loss));
     record.put("history.gradient_norm", &[epochs], optimisation.column(|e| e.gradient_norm));
+    if history.iter().any(|epoch| epoch.gradient_error > 0.0) {
+        record.put("history.gradient_error", &[epochs], optimisation.column(|e| e.gradient_error));
+    }
     record.put("history.seconds", &[epochs], optimisation.column(|e| e.seconds));
     let truth = |of: fn(&Truth) -> f64| optimisation.column(|e| e.truth.as_ref().map_or(f64::NAN, of));
     record.put("history.truth_q", &[epochs], truth(|truth| truth.figure));
@@ -72,6 +76,10 @@ pub fn restore(
     let variables = file.f64("history.offsets", &[epochs, k]).map_err(unreadable)?;
     let (q, loss) = (column("history.q")?, column("history.loss")?);
     let (norm, seconds) = (column("history.gradient_norm")?, column("history.seconds")?);
+    let error = match file.tensors.contains_key("history.gradient_error") {
+        true => Some(column("history.gradient_error")?),
+        false => None,
+    };
     // Earlier versions had no surrogate, so all their results are the solver's.
     let judged = file.tensors.contains_key("history.truth_q");
     let (truth_q, truth_loss) = match judged {
@@ -89,6 +97,7 @@ pub fn restore(
             figure: q[e],
             loss: loss[e],
             gradient_norm: norm[e],
+            gradient_error: error.map_or(0.0, |error| error[e]),
             seconds: seconds[e],
             truth: is_known(e).then(|| Truth { figure: truth_q[e], loss: truth_loss[e] }),
             predicted: predicted.map(|q| q[e]).filter(|q| !q.is_nan()),

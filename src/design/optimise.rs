@@ -28,6 +28,8 @@ pub struct Epoch {
     pub loss: f64,
     /// Norm of the loss's gradient by the variables; NaN if the design was rejected.
     pub gradient_norm: f64,
+    /// See [`Evaluation::gradient_error`].
+    pub gradient_error: f64,
     pub seconds: f64,
     /// The solver's result, if the solver evaluated the design.
     pub truth: Option<Truth>,
@@ -45,6 +47,11 @@ impl Epoch {
     /// Whether the design was rejected because its run diverged.
     pub fn is_rejected(&self) -> bool {
         !self.loss.is_finite()
+    }
+
+    /// Whether the gradient may as well be 0, because its error is as large.
+    pub fn is_within_error(&self) -> bool {
+        self.gradient_error > 0.0 && self.gradient_norm <= self.gradient_error
     }
 
     /// The objective, by the solver where it evaluated the design.
@@ -68,9 +75,14 @@ impl Optimisation {
         Self { optimiser, history: Vec::new(), best: 0, solver_from: None }
     }
 
-    /// Whether `epochs` designs are evaluated, or the optimiser is done.
+    /// Whether `epochs` designs are evaluated, or no better one can be told from the last.
     pub fn is_finished(&self, epochs: usize) -> bool {
-        self.history.len() >= epochs || self.optimiser.is_done()
+        self.history.len() >= epochs || self.is_done()
+    }
+
+    /// Whether the optimiser is done, or the last gradient is not larger than its own error.
+    pub fn is_done(&self) -> bool {
+        self.optimiser.is_done() || self.history.last().is_some_and(Epoch::is_within_error)
     }
 
     /// Records the evaluation of the design that the optimiser asked for, and tells the optimiser. If the run of a
@@ -99,6 +111,7 @@ impl Optimisation {
             figure: found.figure,
             loss: found.loss,
             gradient_norm: if found.loss.is_finite() { norm } else { f64::NAN },
+            gradient_error: found.gradient_error,
             seconds: clock.elapsed().as_secs_f64(),
             truth: found.truth,
             predicted: found.predicted,

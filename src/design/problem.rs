@@ -47,6 +47,8 @@ pub struct Problem<R> {
     pub is_steady: bool,
     /// Step of central differences by which gradients are computed, if they are not adjoint gradients.
     pub differences: Option<f64>,
+    /// The same problem from other starts, over which values and such gradients are averaged; none without an ensemble.
+    pub members: Vec<Problem<R>>,
     /// The ranks that share the flow, see [`Problem::shared`].
     pub team: Option<Team>,
 }
@@ -66,6 +68,17 @@ fn steady_tolerance<R: Real>() -> f64 {
 
 fn unexpected(error: impl std::fmt::Display) -> Error {
     Error::run(error.to_string(), "report this")
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// The standard error of the mean of independent values; none of a single one.
+fn standard_error(values: &[f64]) -> Option<f64> {
+    let (count, mean) = (values.len() as f64, mean(values));
+    let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    (values.len() > 1).then(|| (variance / count).sqrt())
 }
 
 const UNSTEADY: &str = "optimise.gradient=segments, or a smaller time.cfl or design.bound";
@@ -90,6 +103,8 @@ pub struct Evaluation {
     pub loss: f64,
     /// Gradient of the loss by the variables, `[K]`.
     pub gradient: Vec<f64>,
+    /// Norm of the gradient's standard error; 0 unless it is averaged over an ensemble.
+    pub gradient_error: f64,
     /// Number of solver steps; an adjoint step counts as [`ADJOINT`].
     pub solver_steps: usize,
     /// The solver's result, if the solver evaluated the design.
@@ -114,6 +129,8 @@ pub struct Derivative {
     pub value: f64,
     /// Derivative by the variables, `[K]`.
     pub by_variables: Vec<f64>,
+    /// Their standard errors, `[K]`; empty unless they are averaged over an ensemble.
+    pub errors: Vec<f64>,
     /// See [`Evaluation::solver_steps`].
     pub solver_steps: usize,
     /// See [`Gradient::growth`]; only for the adjoint of a run.
@@ -155,6 +172,19 @@ impl<R: Sweeps> Problem<R> {
 
     /// [`Self::evaluate`]. `progress` is called with the completed fraction of the run.
     pub fn evaluate_watched(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<f64> {
+        Ok(mean(&self.evaluate_each(variables, progress)?))
+    }
+
+    /// The objective of each member of the ensemble.
+    fn evaluate_each(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<Vec<f64>> {
+        let count = 1 + self.members.len();
+        let all = std::iter::once(self).chain(&self.members).enumerate();
+        all.map(|(k, of)| of.evaluate_alone(variables, &mut |part| progress((k as f64 + part) / count as f64)))
+            .collect()
+    }
+
+    /// The objective of a design from the problem's own start.
+    fn evaluate_alone(&self, variables: &[f64], progress: Progress<'_>) -> anyhow::Result<f64> {
         if let Some(team) = &self.team {
             team.tell(Order::Value, variables);
             let (spread, start) = (team.spread(&self.model), self.start(variables));
@@ -264,31 +294,34 @@ impl<R: Sweeps> Problem<R> {
 
     /// [`Self::differentiate`] by central differences of runs, one-sided at a limit. Over a long time two runs from
     /// slightly different particles diverge from each other: the exact derivative of one run grows without bound, while
-    /// averages are the same in both runs and smooth at finite steps.
+    /// averages are the same in both runs and smooth at finite steps. What a window is too short for, an ensemble averages;
+    /// how its members differ says how far their mean is from that of many more.
     fn differentiate_by_runs(&self, variables: &[f64], step: f64, progress: Progress<'_>) -> Result<Derivative, Error> {
         let runs = 2 * variables.len() + 1;
         let mut done = 0;
-        let mut value = |variables: &[f64]| {
-            let found = self.evaluate_watched(variables, &mut |part| progress((done as f64 + part) / runs as f64));
+        let mut values = |variables: &[f64]| {
+            let found = self.evaluate_each(variables, &mut |part| progress((done as f64 + part) / runs as f64));
             done += 1;
             found.map_err(|error| self.told(error, variables))
         };
         let limits = self.parametrisation.limits();
-        let middle = value(variables)?;
-        let mut by_variables = Vec::with_capacity(variables.len());
+        let middle = values(variables)?;
+        let (mut by_variables, mut errors) = (Vec::with_capacity(variables.len()), vec![]);
         for k in 0..variables.len() {
             let mut at = |x: f64| {
                 let mut moved = variables.to_vec();
                 moved[k] = x.clamp(limits.lower[k], limits.upper[k]);
-                let value = if moved[k] == variables[k] { Ok(middle) } else { value(&moved) };
-                value.map(|value| (moved[k], value))
+                let values = if moved[k] == variables[k] { Ok(middle.clone()) } else { values(&moved) };
+                values.map(|values| (moved[k], values))
             };
             let ((above, more), (below, less)) = (at(variables[k] + step)?, at(variables[k] - step)?);
-            by_variables.push((more - less) / (above - below));
+            let slopes: Vec<f64> = more.iter().zip(&less).map(|(more, less)| (more - less) / (above - below)).collect();
+            by_variables.push(mean(&slopes));
+            errors.extend(standard_error(&slopes));
         }
         check_gradient(&by_variables)?;
-        let solver_steps = runs * self.steps;
-        Ok(Derivative { value: middle, by_variables, solver_steps, ..Derivative::default() })
+        let solver_steps = middle.len() * runs * self.steps;
+        Ok(Derivative { value: mean(&middle), by_variables, errors, solver_steps, ..Derivative::default() })
     }
 
     /// The error for the user of a failed run, with its cause.
@@ -374,7 +407,7 @@ impl<R: Sweeps> Problem<R> {
             true => self.evaluate_settled(variables, steady_tolerance::<R>())?,
             false => {
                 let found = self.evaluate(variables).map_err(|error| self.told(error, variables));
-                (found?, self.steps)
+                (found?, (1 + self.members.len()) * self.steps)
             }
         };
         Ok(self.confirmed(variables, &Derivative { value, solver_steps, ..Derivative::default() }))
@@ -401,6 +434,7 @@ impl<R: Sweeps> Problem<R> {
             figure: found.value * self.figure.factor,
             loss: penalty - found.value,
             gradient,
+            gradient_error: found.errors.iter().map(|error| error * error).sum::<f64>().sqrt(),
             solver_steps: found.solver_steps,
             ..Evaluation::default()
         }

@@ -128,6 +128,39 @@ pub trait Rare {
     fn call(self) -> Self::Output;
 }
 
+/// Counts the operations of one lane of f64, as what the instruction set `portable` computes with on x86-64. There it counts what a step
+/// must compute, without padding, for the bench's roofline; the compiler adds up the counts of a piece of code, so they cost little.
+mod counted {
+    use std::cell::Cell;
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    thread_local!(static NOW: Cell<u64> = const { Cell::new(0) });
+    static BEFORE: AtomicU64 = AtomicU64::new(0);
+
+    #[inline(always)]
+    pub fn count(operations: u64) {
+        if cfg!(target_arch = "x86_64") {
+            NOW.set(NOW.get() + operations);
+        }
+    }
+    #[inline(always)]
+    pub fn ignore(_: u64) {}
+
+    /// Adds up what this thread has counted.
+    pub fn collect() {
+        BEFORE.fetch_add(NOW.take(), Ordering::Relaxed);
+    }
+    pub fn total() -> u64 {
+        BEFORE.load(Ordering::Relaxed)
+    }
+}
+
+/// Additions, multiplications, divisions and square roots of kernels in f64 so far; 0 unless they run with `HYDROGRAD_SIMD=portable` on
+/// x86-64. What is outside of lanes (the end of a row, plain loops over particles) is not in it.
+pub fn counted_operations() -> u64 {
+    counted::total()
+}
+
 /// A few [`Real`]s that are computed on together.
 pub trait Lanes:
     Copy
@@ -230,11 +263,12 @@ pub trait Lanes:
 
 /// Operators between lanes: `$value` is what is made of the raw numbers `$a` and `$b`.
 macro_rules! operators {
-    ($name:ident, |$a:ident, $b:ident| $($operator:ident $method:ident $value:expr,)* -$c:ident $negative:expr) => {
+    ($name:ident, |$a:ident, $b:ident| $($operator:ident $method:ident $value:expr,)* -$c:ident $negative:expr, $counts:path) => {
         $(impl $operator for $name {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
+                $counts(1);
                 let ($a, $b) = (self.0, other.0);
                 Self($value)
             }
@@ -257,15 +291,24 @@ macro_rules! operators {
 }
 
 macro_rules! portable {
-    ($name:ident, $real:ty, $count:expr, $exponent:expr) => {
+    ($name:ident, $real:ty, $count:expr, $exponent:expr, $counts:path) => {
         #[derive(Clone, Copy)]
         pub struct $name([$real; $count]);
+        impl $name {
+            /// An operation that computes so many numbers a lane.
+            #[inline(always)]
+            fn new(operations: u64, f: impl FnMut(usize) -> $real) -> Self {
+                $counts(operations);
+                Self(array(f))
+            }
+        }
         operators!($name, |a, b|
             Add add array(|l| a[l] + b[l]),
             Sub sub array(|l| a[l] - b[l]),
             Mul mul array(|l| a[l] * b[l]),
             Div div array(|l| a[l] / b[l]),
-            -c Self(array(|l| -c.0[l]))
+            -c Self(array(|l| -c.0[l])),
+            $counts
         );
         impl Lanes for $name {
             type Real = $real;
@@ -294,11 +337,11 @@ macro_rules! portable {
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
-                Self(array(|l| self.0[l].sqrt()))
+                Self::new(1, |l| self.0[l].sqrt())
             }
             #[inline(always)]
             fn inverse_sqrt(self) -> Self {
-                Self(array(|l| 1.0 / self.0[l].sqrt()))
+                Self::new(2, |l| 1.0 / self.0[l].sqrt())
             }
             #[inline(always)]
             fn positive(self) -> Self {
@@ -345,10 +388,10 @@ macro_rules! portable {
     };
 }
 
-portable!(SingleF64, f64, 1, EXPONENT_F64);
-portable!(SingleF32, f32, 1, EXPONENT_F32);
-portable!(PortableF64, f64, 4, EXPONENT_F64);
-portable!(PortableF32, f32, 8, EXPONENT_F32);
+portable!(SingleF64, f64, 1, EXPONENT_F64, counted::count);
+portable!(SingleF32, f32, 1, EXPONENT_F32, counted::ignore);
+portable!(PortableF64, f64, 4, EXPONENT_F64, counted::ignore);
+portable!(PortableF32, f32, 8, EXPONENT_F32, counted::ignore);
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
@@ -377,7 +420,8 @@ mod x86 {
                 Sub sub unsafe { $sub(a, b) },
                 Mul mul unsafe { $mul(a, b) },
                 Div div unsafe { $div(a, b) },
-                -c Self::zero() - c
+                -c Self::zero() - c,
+                counted::ignore
             );
             impl $name {
                 #[inline(always)]
@@ -682,6 +726,7 @@ macro_rules! real {
                 fn portable<K: RowKernel<$real>>(kernel: &K, rows: Range<usize>) {
                     if K::LARGE || cfg!(target_arch = "x86_64") {
                         kernel.rows::<$single>(rows);
+                        counted::collect();
                     } else {
                         kernel.rows::<$portable>(rows);
                     }

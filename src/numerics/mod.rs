@@ -15,6 +15,7 @@ pub mod memory;
 pub mod pool;
 pub mod random;
 pub mod ranks;
+pub mod roofline;
 pub mod sparse_lu;
 pub mod streamlines;
 pub mod sweep;

@@ -14,7 +14,7 @@ use super::surface::{Dummy, Knows, Point, Surface};
 use super::{Exact, Scene};
 use crate::config::custom::Fill;
 use crate::config::formula::Function;
-use crate::config::scene::{Config, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
+use crate::config::scene::{Config, GradientMode, HotIsotherm, Interpolation as Mode, Method, ObjectiveKind};
 use crate::design::deformation::Map;
 use crate::design::diagnostics::Section;
 use crate::design::objectives::{Outlet, Samples};
@@ -189,7 +189,23 @@ pub(super) fn problem<R: Sweeps>(config: &Config) -> Result<Problem<R>, BadInput
     let deformation = Arc::new(Deformation { columns, base, particles, map: Map::Shapes(shapes) });
     let (outlet, first) = (outlet(config, &model), parametrisation.start());
     let problem = heated_channel::problem(config, model, deformation, Arc::new(parametrisation), first, outlet)?;
-    Ok(Problem { smoothing: 0.0, ..problem })
+    let members = match config.optimise.gradient {
+        GradientMode::Ensemble => members(config)?,
+        _ => vec![],
+    };
+    Ok(Problem { smoothing: 0.0, members, ..problem })
+}
+
+/// The further members of an ensemble: the same problem from other starts, which no other seed of a few digits has.
+fn members<R: Sweeps>(config: &Config) -> Result<Vec<Problem<R>>, BadInput> {
+    let mut config = config.clone();
+    config.optimise.gradient = GradientMode::Differences;
+    let count = config.optimise.members;
+    let another = |_| {
+        config.run.seed = config.run.seed.wrapping_add(1 << 32);
+        problem(&config)
+    };
+    (1..count).map(another).collect()
 }
 
 /// Targets across the box and three spacings beyond its walls, so that each particle counts with its whole kernel.

@@ -123,7 +123,8 @@ pub(super) fn problem<R: Sweeps>(
         depth: config.depth(),
         window,
         is_steady: gradient == GradientMode::Steady,
-        differences: (gradient == GradientMode::Differences).then_some(config.optimise.difference),
+        differences: gradient.is_of_runs().then_some(config.optimise.difference),
+        members: vec![],
         team: None,
     })
 }

@@ -182,6 +182,9 @@ impl Record {
         }
         after.put("loss_per_epoch", optimisation.column(|epoch| epoch.loss));
         after.put("gradient_norm_per_epoch", optimisation.column(|epoch| epoch.gradient_norm));
+        if history.iter().any(|epoch| epoch.gradient_error > 0.0) {
+            after.put("gradient_error_per_epoch", optimisation.column(|epoch| epoch.gradient_error));
+        }
         after.put("seconds_per_epoch", optimisation.column(|epoch| epoch.seconds));
         after.put("before", before);
         let limits = problem.parametrisation.limits();

@@ -53,9 +53,6 @@ struct Total<R>(Arc<Terms<R>>);
 /// A state -> itself, at the beginning of a step. Its cotangent is that of own particles only.
 struct Begin<R>(Arc<Seat<R>>);
 
-/// A state `[F, n]` -> the same with the values of copies that their owners have.
-struct Refresh<R>(Arc<Seat<R>>);
-
 /// The state `[F, n]` of a seat -> that of the next one.
 struct HandOver<R> {
     ranks: Ranks,
@@ -111,21 +108,6 @@ impl<R: Sweeps> Operator<1> for Total<R> {
 
     fn adjoint(&self, _: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         // All ranks have the same cotangent of the sum.
-        Ok([Some(bar.to_vec())])
-    }
-}
-
-impl<R: Sweeps> Operator<1> for Refresh<R> {
-    type Real = R;
-    const NAME: &'static str = "copies";
-
-    fn forward(&self, [state]: [&[R]; 1], [shape]: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
-        let mut state = state.to_vec();
-        self.0.flow.model.refresh(&mut state);
-        Ok((state, shape.clone()))
-    }
-
-    fn adjoint(&self, _: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Result<[Option<Vec<R>>; 1]> {
         Ok([Some(bar.to_vec())])
     }
 }
@@ -286,7 +268,7 @@ impl<R: Sweeps> Dynamics for Spread<R> {
     ) -> std::result::Result<Tensor, RunError> {
         let failed = RunError::tensor(tape.solver.step);
         let begun = apply1(Begin(tape.seat.clone()), state).map_err(&failed)?;
-        let mut next = tape.solver.advance(&begun);
+        let next = tape.solver.advance(&begun);
         if is_used_up(&next) {
             let values: Vec<R> = state.flatten_all().and_then(|state| state.to_vec1()).map_err(&failed)?;
             let dealt = self.terms.hand_over(&tape.seat, &values);
@@ -296,9 +278,9 @@ impl<R: Sweeps> Dynamics for Spread<R> {
             let before = std::mem::replace(&mut tape.seat, after.clone());
             let (ranks, came_from, dealt) = (self.terms.ranks.clone(), dealt.came_from, Mutex::new(dealt.state));
             let state = apply1(HandOver { ranks, before, after, came_from, state: dealt }, state).map_err(&failed)?;
-            next = tape.solver.advance(&state);
+            return tape.solver.advance(&state);
         }
-        apply1(Refresh(tape.seat.clone()), &next?).map_err(failed)
+        next
     }
     fn fields(&self, tape: &mut SharedTape<R>, state: &Tensor) -> std::result::Result<Fields, RunError> {
         let fields = tape.seat.flow.fields(&mut tape.solver, state)?;

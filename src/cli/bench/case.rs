@@ -312,6 +312,8 @@ pub fn label(
 #[serde(rename_all = "kebab-case")]
 pub enum Request {
     Row(Box<Case>),
+    /// The operations of a step, for which one thread must run with the instruction set `portable`.
+    Count(Box<Case>),
     /// All points of run time against error.
     Accuracy {
         quick: bool,
@@ -339,6 +341,21 @@ pub struct Measured {
     /// Of a network: work of a step, and what the machine's sgemm does per second at its shapes.
     pub gflop: Option<f64>,
     pub sgemm_gflops: Option<f64>,
+    /// Of a flow: bytes of the arrays of a step, each once, and what the machine can do, see [`Roofline`].
+    pub bytes_per_step: Option<usize>,
+    pub peak_gflops: Option<f64>,
+    pub gigabytes_per_second: Option<f64>,
+}
+
+impl Case {
+    /// Whether a row says how far it is from what the machine can do: fused steps of flows on the CPU, and gradients that run no step twice.
+    pub fn has_roofline(&self) -> bool {
+        let is_flow = matches!(self.source, Source::Channel(_) | Source::TaylorGreen(_));
+        let has_groups = [Group::Step, Group::Gradient, Group::Scaling].contains(&self.group);
+        let is_whole = self.kind == Kind::Forward || self.keeping == Keeping::EveryState;
+        let is_fused = self.device == DeviceName::Cpu && self.kernels == Kernels::Fused;
+        is_flow && has_groups && is_whole && is_fused
+    }
 }
 
 /// Or why it was left out: a gradient that does not fit into the memory that it is allowed.

@@ -9,7 +9,8 @@ use crate::cli::prepare::{build, compute};
 use crate::config::scene::{Family, Precision};
 use crate::error::{BadInput, Error};
 use crate::numerics::candle::read;
-use crate::numerics::lanes::InstructionSet;
+use crate::numerics::lanes::{counted_operations, InstructionSet};
+use crate::numerics::roofline::Roofline;
 use crate::numerics::thread_pool::ThreadPool;
 use crate::particles::neighbour_list::NeighbourError;
 use crate::particles::neighbourhood::Neighbourhood;
@@ -37,6 +38,7 @@ pub fn run(request: &str) -> anyhow::Result<()> {
         serde_json::from_str(request).map_err(|error| BadInput::new(error.to_string()).place("--case"))?;
     let wanted = match &request {
         Request::Row(case) => case.threads,
+        Request::Count(_) => 1,
         Request::Accuracy { threads, .. } => *threads,
     };
     let threads = ThreadPool::global().threads();
@@ -50,6 +52,7 @@ pub fn run(request: &str) -> anyhow::Result<()> {
             (_, Precision::F32) => measure::<f32>(case),
             (_, Precision::F64) => measure::<f64>(case),
         }?)?,
+        Request::Count(case) => serde_json::to_string(&operations(case)?)?,
         Request::Accuracy { quick, .. } => serde_json::to_string(&points(*quick, &mut |_| ())?)?,
     };
     println!("{answer}");
@@ -267,6 +270,13 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
         }
     }
     measured.peak_memory_bytes = peak_memory_bytes();
+    if case.has_roofline() {
+        let bytes = bytes_per_step(case.kind, &ready.dynamics.model, &begin.state).map_err(lost(case.warm_up))?;
+        let roofline = Roofline::measure::<R>(bytes);
+        measured.bytes_per_step = Some(bytes);
+        measured.peak_gflops = Some(1e-9 * roofline.operations);
+        measured.gigabytes_per_second = Some(1e-9 * roofline.bytes);
+    }
     if let Source::Plan { scene, lacking, forced: true } = &case.source {
         let own = Source::Plan { scene: scene.clone(), lacking: *lacking, forced: false };
         let own = Ready::<R>::new(case, &own)?;
@@ -279,6 +289,45 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
         measured.difference = Some(difference);
     }
     Ok(Ok(measured))
+}
+
+/// Steps whose operations are counted, and those before: what a run does once is not in the difference.
+const COUNTED: [usize; 2] = [2, 6];
+
+/// The operations of a step of a case, in f64.
+fn operations(case: &Case) -> anyhow::Result<f64> {
+    let failed = |e: RunError| e.advised("a smaller time.cfl").of(case.label());
+    let ready = Ready::<f64>::new(case, &case.source)?;
+    let begin = ready.after(case.warm_up.min(10)).map_err(failed)?;
+    let run = |steps: usize| -> Result<u64, RunError> {
+        let before = counted_operations();
+        match case.kind {
+            Kind::Forward => {
+                let mut solver = ready.dynamics.start(&begin)?;
+                (0..steps).try_for_each(|_| ready.dynamics.advance(&mut solver))?;
+            }
+            Kind::Gradient | Kind::Training => {
+                let goal = SquaredVelocity { steps };
+                gradient(&ready.dynamics, &begin, &Schedule::every_state(steps, 0, false), &goal, &mut |_| ())?;
+            }
+        }
+        Ok(counted_operations() - before)
+    };
+    let [few, more] = [run(COUNTED[0]).map_err(failed)?, run(COUNTED[1]).map_err(failed)?];
+    Ok((more as f64 - few as f64) / (COUNTED[1] - COUNTED[0]) as f64)
+}
+
+/// Bytes of all arrays that a step reads or writes, each once: the state, the neighbour list and what is derived from it, fields and pairs
+/// that a sweep leaves for the next one. In a gradient those of a step without a graph (which keeps its state), of one on the tape, and
+/// cotangents.
+fn bytes_per_step<R: Sweeps>(kind: Kind, model: &Model<R>, state: &[R]) -> Result<usize, NeighbourError> {
+    let list = Neighbourhood::build(&model.reach(), state)?.list;
+    let memory = model.memory(&list);
+    let (lists, kept) = (list.bytes() + memory.tables, size_of_val(state));
+    Ok(match kind {
+        Kind::Forward => memory.run + lists,
+        Kind::Gradient | Kind::Training => memory.run + 2 * lists + 2 * kept + memory.tape + memory.cotangents,
+    })
 }
 
 /// Number of directed pairs (i, j) within the cut-off, i fluid and j any, over which the force on the fluid sums.

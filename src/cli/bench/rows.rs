@@ -3,6 +3,7 @@
 use super::case::{label, Case, Group, Kind, Measured, Source};
 use crate::config::device::DeviceName;
 use crate::error::BadInput;
+use crate::numerics::roofline::Roofline;
 use crate::report::VERSION;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -51,13 +52,22 @@ pub struct Row {
     pub difference: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_step: Option<f64>,
-    /// For networks: work of a step, work per second, and work per second of the machine's sgemm with the same shapes.
+    /// Work of a step, work per second, and for networks that of the machine's sgemm with the same shapes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gflop_per_step: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gflops: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sgemm_gflops: Option<f64>,
+    /// For flows: bytes of the arrays of a step, each once, what the machine can do, and the time that it would need for them at least.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bytes_per_step: Option<usize>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peak_gflops: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gigabytes_per_second: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub roofline_ms_per_step: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub instruction_set: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -66,8 +76,16 @@ pub struct Row {
 
 impl Row {
     /// The row of a case with measurements. Empty `all` is a bug.
-    pub fn new(case: &Case, all: &[Measured]) -> Self {
+    /// `gflop` is the work of a step of a flow, where it was counted.
+    pub fn new(case: &Case, all: &[Measured], gflop: Option<f64>) -> Self {
         let first = &all[0];
+        let gflop = first.gflop.or(gflop);
+        let most = |of: fn(&Measured) -> Option<f64>| all.iter().filter_map(of).reduce(f64::max);
+        let (peak_gflops, gigabytes_per_second) = (most(|m| m.peak_gflops), most(|m| m.gigabytes_per_second));
+        let roofline = || -> Option<f64> {
+            let roofline = Roofline { operations: 1e9 * peak_gflops?, bytes: 1e9 * gigabytes_per_second? };
+            Some(1e3 * roofline.seconds(1e9 * gflop?, first.bytes_per_step? as f64))
+        };
         // Repeats choose their own numbers of steps, so times are compared per step.
         let runs = || {
             all.iter().flat_map(|m| {
@@ -106,9 +124,13 @@ impl Row {
             predicted_memory_bytes: first.predicted_bytes,
             difference: first.difference,
             time_step: Some(first.time_step),
-            gflop_per_step: first.gflop,
-            gflops: first.gflop.map(|gflop| 1e3 * gflop / ms),
-            sgemm_gflops: all.iter().filter_map(|m| m.sgemm_gflops).reduce(f64::max),
+            gflop_per_step: gflop,
+            gflops: gflop.map(|gflop| 1e3 * gflop / ms),
+            sgemm_gflops: most(|m| m.sgemm_gflops),
+            bytes_per_step: first.bytes_per_step,
+            peak_gflops,
+            gigabytes_per_second,
+            roofline_ms_per_step: roofline(),
             instruction_set: Some(first.instruction_set.clone()),
             version: Some(VERSION.into()),
         }

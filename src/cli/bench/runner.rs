@@ -1,7 +1,7 @@
 //! Runs the cases of a family in turns, each repeat in its own process.
 
 use super::accuracy::ComparedRun;
-use super::case::{Case, Measured, Outcome, Request};
+use super::case::{Case, Kind, Measured, Outcome, Request, Source};
 use super::rows::Row;
 use crate::cli::program;
 use crate::error::{Error, EXIT_DIVERGED};
@@ -27,14 +27,37 @@ pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<(V
             bar.done(1);
         }
     }
-    let (mut rows, mut left_out) = (vec![], vec![]);
+    let (mut rows, mut left_out, mut counted) = (vec![], vec![], Counted::default());
     for (case, found) in family.iter().zip(measured) {
         match found {
-            Ok(all) => rows.push(Row::new(case, &all)),
+            Ok(all) => rows.push(Row::new(case, &all, counted.of(case)?)),
             Err(reason) => left_out.push((case.label(), reason)),
         }
     }
     Ok((rows, left_out))
+}
+
+/// The operations of steps that were counted: those of a scene do not depend on precision and threads.
+#[derive(Default)]
+struct Counted(Vec<((Source, Kind), f64)>);
+
+impl Counted {
+    /// In 1e9 a step; none where nothing counts them.
+    fn of(&mut self, case: &Case) -> anyhow::Result<Option<f64>> {
+        if !case.has_roofline() || !cfg!(target_arch = "x86_64") {
+            return Ok(None);
+        }
+        let (source, kind) = (case.source.clone(), case.kind);
+        let known = self.0.iter().find(|(of, _)| *of == (source.clone(), kind)).map(|(_, operations)| *operations);
+        let operations = match known {
+            Some(operations) => operations,
+            None => ask(&case.label(), &Request::Count(Box::new(case.clone())), 1)?,
+        };
+        if known.is_none() {
+            self.0.push(((source, kind), operations));
+        }
+        Ok(Some(1e-9 * operations))
+    }
 }
 
 /// Measures all points of run time against error in a separate process.
@@ -51,7 +74,11 @@ const ADVICE: &str = "leave it out with --filter, or change the scene with --set
 fn ask<T: DeserializeOwned>(name: &str, request: &Request, threads: usize) -> anyhow::Result<T> {
     let failed = |problem: String| Error::run(format!("{name}: {problem}"), ADVICE);
     let words = program::words().map_err(|error| failed(format!("can not find the program: {error}")))?;
-    let output = program::command(&words)
+    let mut command = program::command(&words);
+    if let Request::Count(_) = request {
+        command.env("HYDROGRAD_SIMD", "portable");
+    }
+    let output = command
         .args(["bench", "--case", &serde_json::to_string(request)?])
         .env("CANDLE_NUM_THREADS", threads.to_string())
         .env("RAYON_NUM_THREADS", threads.to_string())

@@ -55,6 +55,13 @@ pub fn text(group: Group, rows: &[Row], earlier: Option<&Earlier>) -> String {
         column("sgemm", &|row| row.sgemm_gflops.map(|rate| format!("{rate:.0}")));
         column("of it", &|row| Some(format!("{:.0} %", 100.0 * row.gflops? / row.sgemm_gflops?)));
     }
+    let of_particle = |figure: f64, row: &Row| format!("{:.0}", figure / row.particles as f64);
+    if group != Group::Surrogate {
+        column("flop/part.", &|row| Some(of_particle(1e9 * row.gflop_per_step?, row)));
+        column("B/part.", &|row| Some(of_particle(row.bytes_per_step? as f64, row)));
+        column("roof ns", &|row| Some(of_particle(1e6 * row.roofline_ms_per_step?, row)));
+        column("of it", &|row| Some(format!("{:.0} %", 100.0 * row.roofline_ms_per_step? / row.ms_per_step)));
+    }
     column("MB", &|row| Some(format!("{:.0}", row.peak_memory_bytes as f64 / 1e6)));
     if group == Group::Gradient {
         column("adj/fwd", &|row| row.adjoint_over_forward.map(|ratio| format!("{ratio:.2}")));

@@ -73,7 +73,8 @@ fn columns_of(file: &str) -> Choice<'static> {
         "bench.json" => (
             "scene mode kind ms_per_step peak_memory_bytes particles threads precision steps ns_per_pair",
             "version instruction_set time_step dimension group pairs repeats ms_per_step_median ns_per_particle_step \
-             predicted_memory_bytes gflop_per_step sgemm_gflops",
+             predicted_memory_bytes gflop_per_step sgemm_gflops bytes_per_step peak_gflops gigabytes_per_second \
+             roofline_ms_per_step",
         ),
         "validation.json" => ("case passed quantity error tolerance error_f32 order dx", "steps"),
         "accuracy.json" => ("code scene dx precision seconds error", ""),

@@ -223,7 +223,7 @@ impl Config {
             if !asks || can(self.method.facts()) || (custom && NOT_OF_CUSTOM.contains(&key)) || no_steps {
                 continue;
             }
-            let more = if custom && key == "optimise.gradient" { "differences, " } else { "" };
+            let more = if custom && key == "optimise.gradient" { "differences, ensemble, " } else { "" };
             let instead = format!("{more}{instead}");
             let able: Vec<&str> = Method::that(can).into_iter().filter(|name| methods.contains(name)).collect();
             let first = instead.split(',').next().unwrap_or_default();
@@ -235,12 +235,18 @@ impl Config {
                     .advice(format!("method.name={one}, or {key}={first}")),
             });
         }
-        if self.scene.has_design() && self.optimise.gradient == GradientMode::Differences {
-            return Err(BadInput::at(
-                "optimise.gradient",
-                "optimise.gradient = differences for a wall of many variables",
-            )
-            .allowed("segments, taped, truncated or steady; differences for `variables` of a scene of your own"));
+        if self.scene.has_design() && self.optimise.gradient.is_of_runs() {
+            let mode = now["optimise.gradient"].as_str().unwrap_or_default();
+            let problem = format!("optimise.gradient = {mode} for a wall of many variables");
+            return Err(BadInput::at("optimise.gradient", problem).allowed(
+                "segments, taped, truncated or steady; differences or ensemble for `variables` of a scene of your own",
+            ));
+        }
+        let moves = self.method.facts().moves;
+        if custom && moves && self.optimise.gradient == GradientMode::Ensemble && self.time.jitter == 0.0 {
+            return Err(BadInput::at("optimise.gradient", "optimise.gradient = ensemble with time.jitter = 0")
+                .allowed("a jitter above 0: the members of the ensemble differ in the disorder that they begin with")
+                .advice("time.jitter=0.05"));
         }
         Ok(())
     }

@@ -83,6 +83,8 @@ pub struct Masses<R: Sweeps>(pub Arc<Chain<R>>);
 pub struct Heating<R: Sweeps>(pub Arc<Chain<R>>, pub f64);
 /// state, masses -> state after the kick of the drive.
 pub struct Drive<R: Sweeps>(pub Arc<Chain<R>>);
+/// state -> the same with the values of copies that the ranks have that own them.
+struct Copies<R: Sweeps>(Arc<Chain<R>>);
 
 impl<R: Sweeps> Operator<1> for WallValues<R> {
     type Real = R;
@@ -280,6 +282,22 @@ fn conduction_rate<R: Real>(
     rate
 }
 
+impl<R: Sweeps> Operator<1> for Copies<R> {
+    type Real = R;
+    const NAME: &'static str = "copies";
+
+    fn forward(&self, [state]: [&[R]; 1], [shape]: [&Shape; 1]) -> Result<(Vec<R>, Shape)> {
+        let mut state = copied(state);
+        self.0.model.refresh(&mut state);
+        Ok((state, shape.clone()))
+    }
+
+    /// A cotangent is that of own particles only, see [`crate::sph::spread_gradient`].
+    fn adjoint(&self, _: [&[R]; 1], _: &[R], bar: &[R], _: [bool; 1]) -> Bars<R, 1> {
+        Ok([Some(copied(bar))])
+    }
+}
+
 /// The heat that conduction brings to the conducting fluid with x < `until`: the sum of mass times the rate
 /// alpha lap T + w.grad T over its particles. `masses` are those of [`masses`].
 pub fn heating<R: Real>(geometry: &Geometry<'_, R>, known: &[R], derivatives: &[R], masses: &[R], until: f64) -> f64 {
@@ -329,11 +347,14 @@ pub fn advance<R: Sweeps>(chain: &Arc<Chain<R>>, state: &Tensor) -> Result<Tenso
     let pressure = apply2(Continuity(chain.clone()), &known, &derivatives)?;
     let filled = apply2(WallPressure(chain.clone()), &known, &pressure)?;
     let gradient = apply2(PressureGradient(chain.clone()), &known, &filled)?;
-    let after = apply3(Advance(chain.clone()), &known, &derivatives, &gradient)?;
-    if chain.model.drive.is_none() {
-        return Ok(after);
+    let mut after = apply3(Advance(chain.clone()), &known, &derivatives, &gradient)?;
+    if chain.model.drive.is_some() {
+        after = apply2(Drive(chain.clone()), &after, &apply1(Masses(chain.clone()), &derivatives)?)?;
     }
-    apply2(Drive(chain.clone()), &after, &apply1(Masses(chain.clone()), &derivatives)?)
+    match chain.model.part {
+        Some(_) => apply1(Copies(chain.clone()), &after),
+        None => Ok(after),
+    }
 }
 
 /// The buffers of a run without a graph.
