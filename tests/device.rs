@@ -190,7 +190,7 @@ fn networks(compute: &Compute, dtype: DType) -> Vec<Answer> {
     };
     let weights = random(&[n, 3]);
     let gns = Gns::new(sizes, compute.clone(), 3, dtype).unwrap();
-    let egnn = Egnn::new(sizes, 6, 5, dtype).unwrap().on(compute.device());
+    let egnn = Egnn::new(sizes, 6, compute.clone(), 5, dtype).unwrap();
     let all: [(&str, Box<dyn Network>); 2] = [("GNS", Box::new(gns)), ("EGNN", Box::new(egnn))];
     let mut found = Vec::new();
     for (name, network) in all {

@@ -253,7 +253,7 @@ const SIZES: Sizes =
 fn models() -> Vec<(&'static str, Box<dyn Network>)> {
     vec![
         ("gns", Box::new(Gns::new(SIZES, Kernels::Fused, 1, DType::F64).unwrap()) as Box<dyn Network>),
-        ("egnn", Box::new(Egnn::new(SIZES, 6, 1, DType::F64).unwrap())),
+        ("egnn", Box::new(Egnn::new(SIZES, 6, Kernels::Fused, 1, DType::F64).unwrap())),
     ]
 }
 
@@ -404,18 +404,20 @@ fn egnn_by_its_formulas(sizes: &Sizes, inputs: &Inputs, p: &[Tensor]) -> Tensor 
 }
 
 #[test]
-fn egnn_of_layers_is_that_of_its_formulas() {
+fn egnn_is_that_of_its_formulas() {
     for (latent, rounds, linears, d, nodes) in [(12, 3, 2, 2, 40), (7, 1, 3, 3, 23), (16, 2, 2, 2, 300)] {
         let node_features = 4 + 5 * d;
         let sizes =
             Sizes { node_features, edge_features: d + 1, outputs: d + 1, latent, rounds, linears, embedding: 3 };
-        let network = Egnn::new(sizes, 6, 5, DType::F64).unwrap();
-        scatter(&network);
-        let (inputs, features) = random_inputs(&sizes, nodes);
-        let parameters = tracked(&network);
-        let formulas = || egnn_by_its_formulas(&sizes, &inputs, &parameters);
-        let layers = || network.apply(&inputs, &parameters).unwrap();
-        agree(&format!("{sizes:?}"), network.parameters(), &features, [&layers, &formulas]);
+        for kernels in [Kernels::Composed, Kernels::Fused] {
+            let network = Egnn::new(sizes, 6, kernels, 5, DType::F64).unwrap();
+            scatter(&network);
+            let (inputs, features) = random_inputs(&sizes, nodes);
+            let parameters = tracked(&network);
+            let formulas = || egnn_by_its_formulas(&sizes, &inputs, &parameters);
+            let found = || network.apply(&inputs, &parameters).unwrap();
+            agree(&format!("{sizes:?}, {kernels:?}"), network.parameters(), &features, [&found, &formulas]);
+        }
     }
 }
 

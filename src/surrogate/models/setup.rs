@@ -86,7 +86,7 @@ impl Setup {
         Config::from_record(self.data.as_ref()?.other.get(CONFIGURATION)?.as_str()?).ok()
     }
 
-    /// A network of these sizes. The equivariant one always consists of candle-nn's layers.
+    /// A network of these sizes.
     pub fn network(
         &self,
         compute: impl Into<Compute>,
@@ -96,7 +96,7 @@ impl Setup {
         let (sizes, compute) = (self.sizes, compute.into());
         Ok(match self.kind {
             Kind::Gns => Box::new(Gns::new(sizes, compute, seed, dtype)?),
-            Kind::Egnn => Box::new(Egnn::new(sizes, self.features.frames, seed, dtype)?.on(compute.device())),
+            Kind::Egnn => Box::new(Egnn::new(sizes, self.features.frames, compute, seed, dtype)?),
         })
     }
 

@@ -1,8 +1,7 @@
 //! Rounds of message passing (Sanchez-Gonzalez et al. 2020, as LagrangeBench's interaction networks).
 //!
 //! m_ij = MLP([n_j, n_i, e_ij]) for each edge from sender j to receiver i, n_i' = n_i + MLP([n_i, sum_j m_ij]),
-//! e_ij' = e_ij + m_ij. The first layer of the edges' perceptron is split, W [n_j; n_i; e] = Ws n_j + Wr n_i + We e: nodes
-//! are multiplied once and gathered, which halves the work, and `[E, 3 L]` is never built. Edges go through in blocks
+//! e_ij' = e_ij + m_ij. The first layer of the edges' perceptron is [split](super::split_layer). Edges go through in blocks
 //! that end with a receiver, so sums over a receiver's edges need no atomics.
 //!
 //! All rounds are one operator: between operators candle clears, adds and copies a cotangent `[N + E, L]` each time, which
@@ -16,27 +15,20 @@ use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::mlp::{self, since, times, Activations, Cotangents, Layers, MlpShape};
 use crate::surrogate::network::row::{self, each};
+use crate::surrogate::network::split_layer::{Projected, SplitLayer};
 use candle_core::{Device, Result, Tensor};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 
 /// (nodes `[N, L]`, edges `[E, L]`, parameters of all rounds, each round's edges' before its nodes') -> nodes `[N, L]`.
 pub struct Rounds<R: Real> {
-    graph: Arc<Graph>,
-    edge: MlpShape,
+    edge: SplitLayer<R>,
     node: MlpShape,
     rounds: usize,
     /// Whether the adjoint may be asked for.
     keeps: bool,
-    /// The nodes of each part, and the edges into them.
-    parts: Vec<Range<usize>>,
-    edge_parts: Vec<Range<usize>>,
-    /// About how many edges go through together, and how many at most.
-    edge_block: usize,
-    edge_room: usize,
     /// Most nodes that go through together.
     node_block: usize,
-    memory: Buffers<R>,
     activations: Mutex<Vec<RoundActivations<R>>>,
     trace: Option<Trace>,
 }
@@ -74,20 +66,12 @@ impl<R: Real> Rounds<R> {
         trace: Option<Trace>,
     ) -> Self {
         let (edge, node) = (edge_shape(latent, hidden, linears), node_shape(latent, hidden, linears));
-        let most = (0..graph.nodes()).map(|i| graph.entering(&(i..i + 1)).len()).max().unwrap_or(0);
-        let parts = graph.parts(mlp::parts(graph.edges() + graph.nodes()));
         Self {
-            edge_parts: parts.iter().map(|nodes| graph.entering(nodes)).collect(),
-            parts,
-            graph: graph.clone(),
-            edge,
+            edge: SplitLayer::new(graph, latent, edge, memory),
             node,
             rounds,
             keeps,
-            edge_block: edge.block::<R>(),
-            edge_room: edge.block::<R>() + most,
             node_block: node.block::<R>(),
-            memory: memory.clone(),
             activations: Mutex::new(Vec::new()),
             trace,
         }
@@ -95,7 +79,7 @@ impl<R: Real> Rounds<R> {
 
     /// Where the parameters of a round's edges and nodes stand.
     fn parameters(&self, round: usize) -> (Range<usize>, Range<usize>) {
-        let (edge, node) = (self.edge.parameters(), self.node.parameters());
+        let (edge, node) = (self.edge.shape.parameters(), self.node.parameters());
         let at = round * (edge + node);
         (at..at + edge, at + edge..at + edge + node)
     }
@@ -106,11 +90,11 @@ impl<R: Real> Rounds<R> {
     }
 
     fn latent(&self) -> usize {
-        self.edge.outputs
+        self.edge.latent
     }
 }
 
-/// What the k-th input of L numbers is multiplied with: rows k L to (k + 1) L of the first weight.
+/// What the k-th input of L numbers of the nodes' perceptron is multiplied with: rows k L to (k + 1) L of the first weight.
 #[inline(always)]
 fn weight_of(shape: &MlpShape, k: usize) -> Range<usize> {
     let (at, length) = (shape.weight(0).start, shape.outputs * shape.hidden);
@@ -128,32 +112,11 @@ struct Round<'a, R: Real> {
     node_p: &'a [R],
 }
 
-/// Nodes times Ws and Wr, `[N, H]` each; the bias goes with the receivers.
-struct Project<'a, R: Real>(Round<'a, R>);
-
-impl<'a, R: Real> PartKernel<R> for Project<'a, R> {
-    type Part = [&'a mut [R]; 2];
-
-    #[inline(always)]
-    fn part<L: Lanes<Real = R>>(&self, part: usize, projected: &mut Self::Part) {
-        let Round { op, nodes, edge_p: p, .. } = self.0;
-        let (rows, l, h) = (&op.parts[part], op.latent(), op.edge.hidden);
-        for (k, to) in projected.iter_mut().enumerate() {
-            let weight = &p[weight_of(&op.edge, k)];
-            matrix::multiply(to, &nodes[times(rows, l)], weight, (rows.len(), l, h), false);
-        }
-        for row in projected[1].chunks_exact_mut(h) {
-            each::<L, 1>(row, [&p[op.edge.bias(0)]], |x, [b]| x + b);
-        }
-    }
-}
-
 struct Forward<'a, R: Real> {
     round: Round<'a, R>,
     /// None if they stand where those behind the round are put: half the memory to go through.
     edges: Option<&'a [R]>,
-    /// Of senders and of receivers.
-    projected: [&'a [R]; 2],
+    projected: &'a Projected<R>,
     gives_edges: bool,
 }
 
@@ -175,15 +138,15 @@ impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
         let op = self.round.op;
         // Without an adjoint a block's activations stay in the core's cache, and the next block's go over them.
         let mut room = (!op.keeps).then(|| {
-            let activations = |shape, rows| Activations::new(&op.memory, shape, rows);
-            (activations(&op.edge, op.edge_room), activations(&op.node, op.node_block))
+            let activations = |shape, rows| Activations::new(&op.edge.memory, shape, rows);
+            (activations(&op.edge.shape, op.edge.room), activations(&op.node, op.node_block))
         });
         let room = room.as_mut().map(|(edge, node)| (edge.whole(), node.whole()));
         let Some((mut edge, mut node)) = given.activations.take().or(room) else { return };
-        for nodes in op.graph.stretches(op.parts[k].clone(), op.edge_block) {
+        for nodes in op.edge.graph.stretches(op.edge.parts[k].clone(), op.edge.block) {
             self.edges::<L>(k, nodes, given, &mut edge);
         }
-        for nodes in mlp::blocks(op.parts[k].clone(), op.node_block) {
+        for nodes in mlp::blocks(op.edge.parts[k].clone(), op.node_block) {
             self.nodes::<L>(k, nodes, given, &mut node);
         }
     }
@@ -194,26 +157,21 @@ impl<R: Real> Forward<'_, R> {
     #[inline(always)]
     fn edges<L: Lanes<Real = R>>(&self, k: usize, nodes: Range<usize>, given: &mut Given<R>, layers: &mut Layers<R>) {
         let Round { op, edge_p: p, .. } = self.round;
-        let (graph, l, h) = (&*op.graph, op.latent(), op.edge.hidden);
-        let edges = graph.entering(&nodes);
-        let own = since(op.edge_parts[k].start, &edges);
+        let (layer, l, h) = (&op.edge, op.latent(), op.edge.shape.hidden);
+        let edges = layer.graph.entering(&nodes);
+        let own = since(layer.edge_parts[k].start, &edges);
         let rows = if op.keeps { own.clone() } else { 0..edges.len() };
         let hidden = layers.first(&rows);
         let e = self.edges.map(|all| &all[times(&edges, l)]);
         let before = e.unwrap_or_else(|| &given.edges[times(&own, l)]);
-        matrix::multiply(hidden, before, &p[weight_of(&op.edge, 2)], (edges.len(), l, h), false);
-        for (edge, row) in edges.clone().zip(hidden.chunks_exact_mut(h)) {
-            let (j, i) = (graph.senders[edge] as usize, graph.receivers[edge] as usize);
-            let [from, to] = self.projected;
-            let (from, to) = (&from[j * h..(j + 1) * h], &to[i * h..(i + 1) * h]);
-            each::<L, 2>(row, [from, to], |x, [from, to]| (x + from + to).positive());
-        }
+        matrix::multiply(hidden, before, &p[layer.weight_of_edge()], (edges.len(), l, h), false);
+        layer.add_ends::<L>(hidden, edges.clone(), self.projected);
         mlp::forward_block::<L>(p, layers, &rows);
         let z = layers.normalised(&rows);
-        let (scale, offset) = (&p[op.edge.scale()], &p[op.edge.offset()]);
-        let sums = &mut given.sums[times(&since(op.parts[k].start, &nodes), l)];
+        let (scale, offset) = (&p[layer.shape.scale()], &p[layer.shape.offset()]);
+        let sums = &mut given.sums[times(&since(layer.parts[k].start, &nodes), l)];
         for (i, sums) in nodes.zip(sums.chunks_exact_mut(l)) {
-            let into = graph.entering(&(i..i + 1));
+            let into = layer.graph.entering(&(i..i + 1));
             sums.fill(R::default());
             row::add_rows::<L, 1>(sums, [&z[times(&since(edges.start, &into), l)]], |[z]| z);
             let count = L::splat(R::of(into.len() as f64));
@@ -237,7 +195,7 @@ impl<R: Real> Forward<'_, R> {
     fn nodes<L: Lanes<Real = R>>(&self, k: usize, nodes: Range<usize>, given: &mut Given<R>, layers: &mut Layers<R>) {
         let Round { op, node_p: p, .. } = self.round;
         let (l, h) = (op.latent(), op.node.hidden);
-        let own = since(op.parts[k].start, &nodes);
+        let own = since(op.edge.parts[k].start, &nodes);
         let rows = if op.keeps { own.clone() } else { 0..nodes.len() };
         let (hidden, place) = (layers.first(&rows), times(&own, l));
         let (x, size) = (&self.round.nodes[times(&nodes, l)], (nodes.len(), l, h));
@@ -282,18 +240,19 @@ impl<'a, R: Real> PartKernel<R> for Backward<'a, R> {
     #[inline(always)]
     fn part<L: Lanes<Real = R>>(&self, k: usize, bars: &mut Self::Part) {
         let (op, l) = (self.round.op, self.round.op.latent());
-        let mut node_room = Cotangents::new(&op.memory, &op.node, op.node_block, true);
+        let memory = &op.edge.memory;
+        let mut node_room = Cotangents::new(memory, &op.node, op.node_block, true);
         // The edges' first cotangents have a place of their own.
-        let mut edge_room = Cotangents::new(&op.memory, &op.edge, op.edge_room, false);
-        let nodes = &op.parts[k];
-        let mut sums_bar = op.memory.buffer(nodes.len() * l);
+        let mut edge_room = Cotangents::new(memory, &op.edge.shape, op.edge.room, false);
+        let nodes = &op.edge.parts[k];
+        let mut sums_bar = memory.buffer(nodes.len() * l);
         bars.edge_p.fill(R::default());
         bars.node_p.fill(R::default());
         for block in mlp::blocks(nodes.clone(), op.node_block) {
             let own = since(nodes.start, &block);
             self.nodes::<L>(block, &own, bars, &mut node_room, &mut sums_bar[times(&own, l)]);
         }
-        for stretch in op.graph.stretches(nodes.clone(), op.edge_block) {
+        for stretch in op.edge.graph.stretches(nodes.clone(), op.edge.block) {
             let own = since(nodes.start, &stretch);
             self.edges::<L>(k, stretch, bars, &mut edge_room, &sums_bar[times(&own, l)]);
         }
@@ -333,13 +292,13 @@ impl<R: Real> Backward<'_, R> {
         sums_bar: &[R],
     ) {
         let Round { op, edge_p: p, .. } = self.round;
-        let (graph, l, h) = (&*op.graph, op.latent(), op.edge.hidden);
-        let edges = graph.entering(&nodes);
-        let (count, own) = (edges.len(), since(op.edge_parts[k].start, &edges));
+        let (layer, l, h) = (&op.edge, op.latent(), op.edge.shape.hidden);
+        let edges = layer.graph.entering(&nodes);
+        let (count, own) = (edges.len(), since(layer.edge_parts[k].start, &edges));
         let z_bar = &mut room.z[..count * l];
         let (edges_bar, g) = (&mut bars.edges[times(&own, l)], &mut *bars.edge_p);
         for (bar, i) in sums_bar.chunks_exact(l).zip(nodes.clone()) {
-            for at in since(edges.start, &graph.entering(&(i..i + 1))) {
+            for at in since(edges.start, &layer.graph.entering(&(i..i + 1))) {
                 let z_bar = &mut z_bar[at * l..(at + 1) * l];
                 if self.had_edges {
                     let edge_bar = &edges_bar[at * l..(at + 1) * l];
@@ -351,52 +310,11 @@ impl<R: Real> Backward<'_, R> {
         }
         let first = &mut bars.first[times(&own, h)];
         mlp::backward_block::<L>(p, &self.activations.edge, &edges, z_bar, g, first, &mut room.between);
-        let weight = weight_of(&op.edge, 2);
+        let weight = layer.weight_of_edge();
         matrix::add_transposed(&mut g[weight.clone()], &self.edges[times(&edges, l)], first, (l, count, h));
         matrix::multiply_by_transposed(edges_bar, first, &p[weight], (count, h, l), self.had_edges);
-        let received = &mut bars.received[times(&since(op.parts[k].start, &nodes), h)];
-        for (i, received) in nodes.zip(received.chunks_exact_mut(h)) {
-            received.fill(R::default());
-            let into = since(edges.start, &graph.entering(&(i..i + 1)));
-            row::add_rows::<L, 1>(received, [&first[times(&into, h)]], |[bar]| bar);
-        }
-    }
-}
-
-/// Second pass: what comes back to the nodes through the gathered projections.
-struct Collect<'a, R: Real> {
-    round: Round<'a, R>,
-    first_bar: &'a [R],
-    received_bar: &'a [R],
-}
-
-impl<'a, R: Real> PartKernel<R> for Collect<'a, R> {
-    /// Cotangents of the nodes, and the part's share of those of the edges' parameters.
-    type Part = (&'a mut [R], &'a mut [R]);
-
-    #[inline(always)]
-    fn part<L: Lanes<Real = R>>(&self, part: usize, (nodes_bar, g): &mut Self::Part) {
-        let Round { op, edge_p: p, .. } = self.round;
-        let (l, h) = (op.latent(), op.edge.hidden);
-        let mut sent_bar = op.memory.buffer(op.node_block * h);
-        for nodes in mlp::blocks(op.parts[part].clone(), op.node_block) {
-            let count = nodes.len();
-            let sent = &mut sent_bar[..count * h];
-            sent.fill(R::default());
-            for (sent, j) in sent.chunks_exact_mut(h).zip(nodes.clone()) {
-                for &edge in op.graph.out_of(j) {
-                    let edge = edge as usize;
-                    each::<L, 1>(sent, [&self.first_bar[edge * h..(edge + 1) * h]], |sum, [bar]| sum + bar);
-                }
-            }
-            let x = &self.round.nodes[times(&nodes, l)];
-            let nodes_bar = &mut nodes_bar[times(&since(op.parts[part].start, &nodes), l)];
-            for (k, bar) in [(0, &*sent), (1, &self.received_bar[times(&nodes, h)])] {
-                let weight = weight_of(&op.edge, k);
-                matrix::add_transposed(&mut g[weight.clone()], x, bar, (l, count, h));
-                matrix::multiply_by_transposed(nodes_bar, bar, &p[weight], (count, h, l), true);
-            }
-        }
+        let received = &mut bars.received[times(&since(layer.parts[k].start, &nodes), h)];
+        layer.collect_received::<L>(nodes, first, received);
     }
 }
 
@@ -416,24 +334,22 @@ impl<R: Real> Rounds<R> {
         edges_out: &mut [R],
         p: &[R],
     ) -> (Buffer<R>, Option<RoundActivations<R>>) {
-        let (l, h, n, e) = (self.latent(), self.edge.hidden, self.graph.nodes(), self.graph.edges());
+        let layer = &self.edge;
+        let (l, n, e) = (self.latent(), layer.graph.nodes(), layer.graph.edges());
         let (gives_edges, round) = (self.gives_edges(round), self.round(round, nodes, p));
-        let [mut nodes_out, mut sums] = [n * l, n * l].map(|length| self.memory.buffer(length));
-        let mut projected = self.memory.buffer(2 * n * h);
-        let (sent, received) = projected.split_at_mut(n * h);
-        let ends = cut(sent, &self.parts, h).into_iter().zip(cut(received, &self.parts, h));
-        run_parts(&Project(round), ends.map(|(sent, received)| [sent, received]));
-        let activations = |shape, rows| Activations::new(&self.memory, shape, rows);
-        let mut kept = self.keeps.then(|| (activations(&self.edge, e), activations(&self.node, n)));
-        let layers = kept.as_mut().map(|(edge, node)| (edge.parts(&self.edge_parts), node.parts(&self.parts)));
+        let [mut nodes_out, mut sums] = [n * l, n * l].map(|length| layer.memory.buffer(length));
+        let projected = &layer.project(nodes, round.edge_p);
+        let activations = |shape, rows| Activations::new(&layer.memory, shape, rows);
+        let mut kept = self.keeps.then(|| (activations(&layer.shape, e), activations(&self.node, n)));
+        let layers = kept.as_mut().map(|(edge, node)| (edge.parts(&layer.edge_parts), node.parts(&layer.parts)));
         let mut layers = layers.map(|(edge, node)| edge.into_iter().zip(node));
         let width = if edges_out.is_empty() { 0 } else { l };
-        let nodes_parts = cut(&mut sums, &self.parts, l).into_iter().zip(cut(&mut nodes_out, &self.parts, l));
-        let parts = nodes_parts.zip(cut(edges_out, &self.edge_parts, width)).map(|((sums, nodes), edges)| {
+        let nodes_parts = cut(&mut sums, &layer.parts, l).into_iter().zip(cut(&mut nodes_out, &layer.parts, l));
+        let parts = nodes_parts.zip(cut(edges_out, &layer.edge_parts, width)).map(|((sums, nodes), edges)| {
             let activations = layers.as_mut().and_then(Iterator::next);
             Given { activations, sums, nodes, edges }
         });
-        run_parts(&Forward { round, edges, projected: [sent, received], gives_edges }, parts);
+        run_parts(&Forward { round, edges, projected, gives_edges }, parts);
         (nodes_out, kept.map(|(edge, node)| RoundActivations { before: None, edge, node, sums }))
     }
 
@@ -449,26 +365,25 @@ impl<R: Real> Rounds<R> {
         edges_bar: &mut [R],
         p_bar: &mut [R],
     ) {
-        let (n, e, l, h) = (self.graph.nodes(), self.graph.edges(), self.latent(), self.edge.hidden);
-        let (round, count) = (self.round(number, nodes, p), self.parts.len());
+        let layer = &self.edge;
+        let (n, e, l, h) = (layer.graph.nodes(), layer.graph.edges(), self.latent(), layer.shape.hidden);
+        let (round, count) = (self.round(number, nodes, p), layer.parts.len());
         let (edge_length, node_length) = (round.edge_p.len(), round.node_p.len());
         let [mut edge_p_bar, mut node_p_bar, mut first_bar, mut received_bar] =
-            [count * edge_length, count * node_length, e * h, n * h].map(|length| self.memory.buffer(length));
-        let mut edge_bars = cut(edges_bar, &self.edge_parts, l).into_iter();
-        let mut first = cut(&mut first_bar, &self.edge_parts, h).into_iter();
-        let mut received = cut(&mut received_bar, &self.parts, h).into_iter();
+            [count * edge_length, count * node_length, e * h, n * h].map(|length| layer.memory.buffer(length));
+        let mut edge_bars = cut(edges_bar, &layer.edge_parts, l).into_iter();
+        let mut first = cut(&mut first_bar, &layer.edge_parts, h).into_iter();
+        let mut received = cut(&mut received_bar, &layer.parts, h).into_iter();
         let of_edges = edge_p_bar.chunks_exact_mut(edge_length);
         let mut of_parameters = of_edges.zip(node_p_bar.chunks_exact_mut(node_length));
-        let bars = cut(nodes_bar, &self.parts, l).into_iter().map_while(|nodes| {
+        let bars = cut(nodes_bar, &layer.parts, l).into_iter().map_while(|nodes| {
             let (edges, first, received) = (edge_bars.next()?, first.next()?, received.next()?);
             let (edge_p, node_p) = of_parameters.next()?;
             Some(Bars { nodes, edges, first, received, edge_p, node_p })
         });
         let had_edges = number + 1 < self.rounds;
         run_parts(&Backward { round, edges, activations, had_edges }, bars);
-        let bars = cut(nodes_bar, &self.parts, l).into_iter().zip(edge_p_bar.chunks_exact_mut(edge_length));
-        let (first_bar, received_bar) = (&first_bar, &received_bar);
-        run_parts(&Collect { round, first_bar, received_bar }, bars);
+        layer.collect((nodes, round.edge_p), (&first_bar, &received_bar), nodes_bar, &mut edge_p_bar);
         let (edge_p, node_p) = self.parameters(number);
         mlp::sum_of_parts(&mut p_bar[edge_p], &edge_p_bar);
         mlp::sum_of_parts(&mut p_bar[node_p], &node_p_bar);
@@ -484,7 +399,7 @@ impl<R: Real> Operator<3> for Rounds<R> {
         [nodes, edges, p]: [&[R]; 3],
         _: [&candle_core::Shape; 3],
     ) -> Result<(Vec<R>, candle_core::Shape)> {
-        let (l, n, e) = (self.latent(), self.graph.nodes(), self.graph.edges());
+        let (l, n, e) = (self.latent(), self.edge.graph.nodes(), self.edge.graph.edges());
         if nodes.len() != n * l || edges.len() != e * l || p.len() != self.parameters(self.rounds).0.start {
             candle_core::bail!("rounds: {} and {} numbers, not {n} x {l} and {e} x {l}", nodes.len(), edges.len());
         }
@@ -495,7 +410,7 @@ impl<R: Real> Operator<3> for Rounds<R> {
             let own = if self.keeps { None } else { edges_now.take() };
             let given = own.is_none().then(|| edges_now.as_deref().map_or(edges, |edges| edges));
             let mut edges_out =
-                own.unwrap_or_else(|| self.memory.buffer(if self.gives_edges(round) { e * l } else { 0 }));
+                own.unwrap_or_else(|| self.edge.memory.buffer(if self.gives_edges(round) { e * l } else { 0 }));
             let from = nodes_now.as_deref().map_or(nodes, |nodes| nodes);
             let (nodes_out, one) = self.forward_round(round, from, given, &mut edges_out, p);
             if let Some(trace) = &self.trace {

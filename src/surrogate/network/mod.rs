@@ -5,6 +5,8 @@ pub mod graph;
 pub mod interaction;
 pub mod layers;
 pub mod matrix;
+pub mod messages;
 pub mod mlp;
 pub mod parameters;
 pub mod row;
+pub mod split_layer;
