@@ -612,14 +612,44 @@ def busy():
 
 
 def fluid_of(path):
-    """x of the fluid in a frame."""
+    """x and density of the fluid in a frame."""
     with open(path, "rb") as file:
         text, numbers = file.read().split(b'<AppendedData encoding="raw">\n_', 1)
     def block(name):
         offset = int(re.search(rf'Name="{name}"[^>]* offset="(\d+)"', text.decode())[1])
         return numbers[offset + 8:offset + 8 + int.from_bytes(numbers[offset:offset + 8], "little")]
-    points, tags = array.array("d", block("Points")), block("tag")
-    return [points[3 * i] for i, tag in enumerate(tags) if tag == 0]
+    points, density, tags = array.array("d", block("Points")), array.array("d", block("density")), block("tag")
+    fluid = [i for i, tag in enumerate(tags) if tag == 0]
+    return [points[3 * i] for i in fluid], [density[i] for i in fluid]
+
+
+def frames_of(folder):
+    """Time and file of each frame."""
+    with open(os.path.join(folder, "particles/particles.pvd")) as file:
+        found = re.findall(r'timestep="([^"]+)".*file="([^"]+)"', file.read())
+    return [(float(time), os.path.join(folder, "particles", name)) for time, name in found]
+
+
+def density():
+    """How well the density of the collapsing column is held, before and after its front meets the other wall."""
+    def cells(folder):
+        parts = {True: [], False: []}
+        for time, name in frames_of(folder):
+            parts[time < 2.5] += [abs(rho - 1) for rho in fluid_of(name)[1]]
+        out = []
+        for part in (parts[True], parts[False]):
+            part.sort()
+            beyond = sum(1 for off in part if off > 0.01) / len(part)
+            out += [f"{100 * sum(part) / len(part):.2f} %", f"{100 * part[int(0.99 * len(part))]:.1f} %", f"{100 * beyond:.1f} %"]
+        return out
+    kinds = [("", {})]
+    kinds += [(f"{key} {value}", {key.replace(".", "__"): value}) for key, value in (
+        ("resolution.dx", 0.02), ("fluid.sound_speed_factor", 20), ("fluid.sound_speed_factor", 40), ("method.flux", "delta"), ("method.flux", "riemann"))]
+    rows = []
+    for label, keys in kinds:
+        folder = run("dam-break-density", "simulate", "dam-break", *sets(output__frames=120, **keys))
+        rows.append([label or "as it is", *cells(folder), f"{load(folder)['wall_seconds']:.0f}"])
+    return table(["", "until t = 2.5: mean", "99 % within", "beyond 1 %", "after it: mean", "99 % within", "beyond 1 %", "seconds"], rows)
 
 
 def front():
@@ -648,15 +678,13 @@ def front():
     for label, keys in kinds:
         folder = run("dam-break", "simulate", "dam-break", *sets(**column, **keys))
         ends, deep = [], []
-        with open(os.path.join(folder, "particles/particles.pvd")) as file:
-            frames = re.findall(r'timestep="([^"]+)".*file="([^"]+)"', file.read())
-        for time, name in frames:
-            x, dx = fluid_of(os.path.join(folder, "particles", name)), keys["resolution__dx"]
+        for time, name in frames_of(folder):
+            (x, _), dx = fluid_of(name), keys["resolution__dx"]
             water = {}
             for place in x:
                 water[int(place / width)] = water.get(int(place / width), 0) + dx * dx / width
-            ends.append((float(time) * 2**0.5, max(x) + dx / 2))
-            deep.append((float(time) * 2**0.5, width * (1 + max(k for k, depth in water.items() if depth >= 0.1))))
+            ends.append((time * 2**0.5, max(x) + dx / 2))
+            deep.append((time * 2**0.5, width * (1 + max(k for k, depth in water.items() if depth >= 0.1))))
         rows.append([label, *cells(ends), *cells(deep)])
     return table(["", "front: ahead by, mean", "delay T", "off with it", "where the water is 0.1 a deep: ahead by", "delay T", "off with it"], rows)
 
@@ -674,7 +702,7 @@ def summary():
 
 
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, around, summary, busy, front)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, around, summary, busy, front, density)
 PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

@@ -241,6 +241,30 @@ fn hydrograd(folder: &Path, arguments: &[&str]) -> (bool, String) {
     (output.status.success(), text)
 }
 
+/// The command that shows an ensemble's gradient: derivatives by the numbers themselves, over the scene's own time.
+#[test]
+fn check_gradient_shows_an_ensemble() {
+    let folder = tempfile::tempdir().unwrap();
+    let disc = "kind = \"disc\"\ncentre = [0.3, 0.19]\nradius = 0.08";
+    let text = channel(disc, &[variable("centre[1]", 0.1, 0.3), variable("radius", 0.06, 0.1)], "flow-rate")
+        .replace("\"segments\"", "\"ensemble\"\nmembers = 3\nsearch = \"scene\"");
+    std::fs::write(folder.path().join("mine.toml"), format!("scene = \"custom\"\n{text}")).unwrap();
+    let (done, said) = hydrograd(folder.path(), &["check-gradient", "mine.toml", "--out", "a"]);
+    assert!(done && said.contains("12 steps, V = ") && said.contains("the mean over 3 starts"), "{said}");
+    let found: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.path().join("a/gradient_check.json")).unwrap()).unwrap();
+    let problem = problem(&text);
+    let expected = problem.differentiate(&problem.first, &Schedule::taped(12), &mut |_| ()).unwrap();
+    for (k, width) in [0.2, 0.04].into_iter().enumerate() {
+        for (key, of) in [("gradient", &expected.by_variables), ("gradient_error", &expected.errors)] {
+            let by_number = problem.figure.factor * of[k] / width;
+            assert!((found[key][k].as_f64().unwrap() / by_number - 1.0).abs() < 1e-9, "{key}: {found}");
+        }
+    }
+    let page = std::fs::read_to_string(folder.path().join("a/report.html")).unwrap();
+    assert!(page.contains("mean over 3 starts"));
+}
+
 /// A thinner obstacle lets more through: found, verified on particles placed anew, resumable, and its file runs.
 #[test]
 fn optimize_finds_a_better_shape() {

@@ -7,7 +7,7 @@ use super::periodic_box;
 use super::prepare::{build, open_device, use_threads_of};
 use super::ranks::check_design;
 use super::run_folder::{Earlier, RunFolder};
-use super::{around_bodies, around_shapes};
+use super::{around_bodies, around_shapes, ensemble_gradient};
 use crate::adjoint::check::{check, cosine, Direction};
 use crate::config::layers::Setting;
 use crate::config::scene::{Config, GradientMode, Precision};
@@ -40,7 +40,9 @@ Examples:
   hydrograd check-gradient --precision f32 --set design.shape=sine
       in single precision, at a sine-shaped wall
   hydrograd check-gradient --steps 500 --set objective.window=0.2
-      with an objective averaged over a window")]
+      with an objective averaged over a window
+  hydrograd check-gradient data/scenes/examples/wake.toml --set optimise.gradient=ensemble
+      of shapes among moving particles, over a long time: the mean over several starts, and its error")]
 pub struct CheckGradientArguments {
     #[command(flatten)]
     pub common: CommonArguments,
@@ -57,14 +59,16 @@ pub struct CheckGradientArguments {
 
 impl CheckGradientArguments {
     pub fn load(&self) -> Result<Loaded, Error> {
-        // Flows around shapes, steady or in time, are checked as they are: over their own time and window.
+        // Flows around shapes, steady or in time, and ensembles are looked at as they are: over their own time and window.
         let own = self.common.load(None, vec![], self.gradient.settings());
         // A periodic box is differentiated by its start.
         if own.as_ref().is_ok_and(|own| own.config.is_periodic_box()) {
             return own;
         }
         self.common.require_design()?;
-        if own.as_ref().is_ok_and(|own| own.config.is_around_shapes()) {
+        let is_whole =
+            |own: &Loaded| own.config.is_around_shapes() || own.config.optimise.gradient == GradientMode::Ensemble;
+        if own.as_ref().is_ok_and(is_whole) {
             return own;
         }
         // These defaults are below the user's settings, such as `--set objective.window=...`. The scene's window may be
@@ -107,6 +111,9 @@ pub fn run(loaded: Loaded, arguments: CheckGradientArguments, ranks: &Ranks) -> 
     if loaded.config.is_around_shapes() {
         let mut around = AroundShapes::new(&loaded.config)?;
         return around_shapes::check_gradient(&loaded, &mut around, around_shapes::TOLERANCE, &folder);
+    }
+    if loaded.config.optimise.gradient == GradientMode::Ensemble {
+        return ensemble_gradient::show(&loaded, &folder, KIND);
     }
     // The adjoint is checked, whatever gradient an optimiser uses.
     let mut config = loaded.config.clone();

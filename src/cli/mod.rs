@@ -10,6 +10,7 @@ mod calibrate;
 mod check_gradient;
 mod completions;
 mod dataset;
+mod ensemble_gradient;
 mod evaluate;
 mod explain;
 mod figure_errors;
