@@ -76,6 +76,28 @@ fn figures_that_agree_by_chance_have_an_error_too() {
     assert!((flow.error / flow.value - 0.35 * force.error / force.value).abs() < 1e-12, "{flow:?}");
 }
 
+/// The ends of the hot section make an error with fixed particles that spacings which agree do not show.
+#[test]
+fn heat_between_walls_has_at_least_the_error_of_the_hot_ends() {
+    let record =
+        |q: f64, flow: f64| -> Record { serde_json::from_value(json!({ "q": q, "flow_rate": flow })).unwrap() };
+    let of = |sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        let config = Config::load(Some("heated-channel"), None, &sets).unwrap().config;
+        let dx = config.resolution.dx;
+        let coarser = [(1.25 * dx, record(1.00001, 2.00001)), (1.67 * dx, record(1.00001, 2.00001))];
+        let found = errors(&config, &record(1.0, 2.0), &coarser);
+        found.iter().map(|one| one.parts.discretisation / one.value).collect::<Vec<_>>()
+    };
+    let [q, flow] = of(&["method.name=fixed"])[..] else { panic!() };
+    assert!((q - 1.5e-3).abs() < 1e-12 && flow < 1e-4, "{q} {flow}");
+    let finer = of(&["method.name=fixed", "resolution.dx=0.01"])[0];
+    assert!((finer / q - 0.5_f64.powf(1.8)).abs() < 1e-12, "{finer}");
+    let higher = of(&["method.name=fixed", "channel.height=0.4"])[0];
+    assert!((higher / finer - 1.0).abs() < 1e-12, "{higher}");
+    assert!(of(&["method.name=consistent"]).iter().all(|error| *error < 1e-4));
+}
+
 /// Channels that are so many spacings long hold more fluid at a coarser spacing, which is no error.
 #[test]
 fn sums_over_a_channel_belong_to_its_length() {

@@ -60,7 +60,7 @@ impl<R: Sweeps> Method<R> for Consistent<R> {
     fn memory(&self, list: &NeighbourList) -> Memory {
         let (l, n, size) = (self.layout, self.particles(), std::mem::size_of::<R>());
         let (d, heat, fits) = (l.dimension, l.heat as usize, monomials(l.dimension));
-        // A run keeps about as much as one of the standard method.
+        // What an objective looks at is about as much as in the standard method.
         let parts = Parts { moved: 2 * d + 2 * heat, primitives: 1 + d + heat, rates: d + heat };
         let kept = ((4 + stride(2 * d + 2 + 2 * heat)) * n + list.index.len()) * size;
         let bars = stride(parts.rates) + stride(parts.primitives + 1);
@@ -77,7 +77,8 @@ impl<R: Sweeps> Method<R> for Consistent<R> {
         let near = list.wall_rows.iter().map(|&i| list.fluid_count[i as usize]).max().unwrap_or(0);
         let walls = (self.fits.surface.len() + list.wall_rows.len()) * near.next_multiple_of(4) as usize;
         let tables = walls + list.fluid_rows.len() * (room(list, true) + room(list, false));
-        Memory { tape, tables: tables * std::mem::size_of::<u32>(), look: memory.look + tape, ..memory }
+        // A run without a graph has the same in its buffers.
+        Memory { tape, run: tape, tables: tables * std::mem::size_of::<u32>(), look: memory.look + tape, ..memory }
     }
     fn limits(&self) -> (CflLimit, f64) {
         match self.layout.rates {
