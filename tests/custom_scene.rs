@@ -542,7 +542,9 @@ fn examples_can_be_checked_and_run() {
             continue;
         }
         let text = run(&["scenes", "check", file, "--out", name, "--threads", "1"]);
-        for part in ["particles ", "wall of set temperature", "sound rules", "run time", "nothing looks implausible"] {
+        // The wake is coarse for its speed, and in a channel without the cylinder the flow would be three times as fast.
+        let verdict = if name == "wake" { "3 to look at" } else { "nothing looks implausible" };
+        for part in ["particles ", "wall of set temperature", "sound rules", "run time", verdict] {
             assert!(text.contains(part), "{name}: no `{part}` in\n{text}");
         }
         let picture = std::fs::metadata(folder.path().join(name).join("particles.png")).unwrap();
