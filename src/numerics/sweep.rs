@@ -39,7 +39,12 @@ pub fn run_some_rows<R: Real, K: RowKernel<R>>(kernel: &K, rows: Range<usize>) {
 
 /// Calls `each` for every row on all threads: for loops that move numbers and hardly compute.
 pub fn run_each(count: usize, each: impl Fn(usize) + Sync) {
-    deal(count, &|rows| rows.for_each(&each));
+    // (A loop, because `for_each` on a reference leaves a call for each row.)
+    deal(count, &|rows| {
+        for row in rows {
+            each(row);
+        }
+    });
 }
 
 /// [`run_rows`], compiled once for all kernels.

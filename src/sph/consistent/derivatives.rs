@@ -221,6 +221,9 @@ fn load_factor<L: Lanes, const P: usize>(factors: &[L::Real], place: usize, kind
     load(factors, Place::of::<L::Real>(place, const { KINDS * P }), kind * P)
 }
 
+/// Particles whose records are packed field by field: as many as stay in a core's first cache.
+const PACKED_TOGETHER: usize = 128;
+
 /// Packs positions and fields `[fields, N]` into records.
 pub(super) fn pack<R: Real>(geometry: &Geometry<'_, R>, position: &[R], fields: &[R], records: &mut Vec<R>) {
     let n = geometry.model.particles();
@@ -229,12 +232,15 @@ pub(super) fn pack<R: Real>(geometry: &Geometry<'_, R>, position: &[R], fields: 
     let stride = stride(d + count);
     records.resize(stride * n, R::default());
     let records = Own::new(records);
-    run_each(n, |i| {
-        for k in 0..d {
-            records.set(i * stride + k, position[k * n + i]);
-        }
-        for k in 0..count {
-            records.set(i * stride + d + k, fields[k * n + i]);
+    run_each(n.div_ceil(PACKED_TOGETHER), |piece| {
+        let some = piece * PACKED_TOGETHER..n.min((piece + 1) * PACKED_TOGETHER);
+        // SAFETY: the records of a piece are its own.
+        let records = unsafe { records.slice(some.start * stride..some.end * stride) };
+        for k in 0..d + count {
+            let of = if k < d { &position[k * n..] } else { &fields[(k - d) * n..] };
+            for (record, value) in records.chunks_exact_mut(stride).zip(&of[some.clone()]) {
+                record[k] = *value;
+            }
         }
     });
 }
