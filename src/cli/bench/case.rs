@@ -341,7 +341,7 @@ pub struct Measured {
     /// Of a network: work of a step, and what the machine's sgemm does per second at its shapes.
     pub gflop: Option<f64>,
     pub sgemm_gflops: Option<f64>,
-    /// Of a flow: bytes of the arrays of a step, each once, and what the machine can do, see [`Roofline`].
+    /// Of a flow: bytes of the arrays of a step, each once, and what the machine can do, see [`crate::numerics::roofline::Roofline`].
     pub bytes_per_step: Option<usize>,
     pub peak_gflops: Option<f64>,
     pub gigabytes_per_second: Option<f64>,
