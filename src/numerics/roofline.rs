@@ -20,6 +20,9 @@ const CHAINS: usize = 12;
 /// Multiply-adds of a chain in a row of the kernel.
 const LENGTH: usize = 512;
 
+/// Bytes that no cache holds.
+const BEYOND: usize = 1 << 28;
+
 struct MultiplyAdds<'a, R> {
     factor: R,
     sums: Shared<'a, R>,
@@ -78,8 +81,10 @@ fn best(mut run: impl FnMut()) -> f64 {
 }
 
 impl Roofline {
-    /// Measures it for numbers of type R and arrays of so many bytes together, which may fit into a cache. Takes 0.1 s.
+    /// Measures it for numbers of type R and arrays of so many bytes together, which may fit into a cache, and of 256 MB for more.
+    /// Takes 0.1 s.
     pub fn measure<R: Real>(bytes: usize) -> Self {
+        let bytes = bytes.min(BEYOND);
         let mut sums = vec![R::default(); 4096];
         let lanes = lanes::<R>();
         let count = sums.len();
