@@ -76,10 +76,8 @@ pub fn restore(
     let variables = file.f64("history.offsets", &[epochs, k]).map_err(unreadable)?;
     let (q, loss) = (column("history.q")?, column("history.loss")?);
     let (norm, seconds) = (column("history.gradient_norm")?, column("history.seconds")?);
-    let error = match file.tensors.contains_key("history.gradient_error") {
-        true => Some(column("history.gradient_error")?),
-        false => None,
-    };
+    let has_errors = file.tensors.contains_key("history.gradient_error");
+    let error = has_errors.then(|| column("history.gradient_error")).transpose()?;
     // Earlier versions had no surrogate, so all their results are the solver's.
     let judged = file.tensors.contains_key("history.truth_q");
     let (truth_q, truth_loss) = match judged {

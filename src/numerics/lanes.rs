@@ -294,14 +294,6 @@ macro_rules! portable {
     ($name:ident, $real:ty, $count:expr, $exponent:expr, $counts:path) => {
         #[derive(Clone, Copy)]
         pub struct $name([$real; $count]);
-        impl $name {
-            /// An operation that computes so many numbers a lane.
-            #[inline(always)]
-            fn new(operations: u64, f: impl FnMut(usize) -> $real) -> Self {
-                $counts(operations);
-                Self(array(f))
-            }
-        }
         operators!($name, |a, b|
             Add add array(|l| a[l] + b[l]),
             Sub sub array(|l| a[l] - b[l]),
@@ -337,11 +329,13 @@ macro_rules! portable {
             }
             #[inline(always)]
             fn sqrt(self) -> Self {
-                Self::new(1, |l| self.0[l].sqrt())
+                $counts(1);
+                Self(array(|l| self.0[l].sqrt()))
             }
             #[inline(always)]
             fn inverse_sqrt(self) -> Self {
-                Self::new(2, |l| 1.0 / self.0[l].sqrt())
+                $counts(2);
+                Self(array(|l| 1.0 / self.0[l].sqrt()))
             }
             #[inline(always)]
             fn positive(self) -> Self {

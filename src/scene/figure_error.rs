@@ -2,7 +2,7 @@
 //!
 //! The part by the spacing follows from the same run at coarser spacings ([`crate::numerics::grid_convergence`]). Two runs may agree in one figure by
 //! chance, so no figure has less than a third of the relative error that the run's figures have in the middle (`POOLED`), and none of heat between
-//! walls less than the ends of the hot section make ([`of_hot_ends`]).
+//! walls less than the ends of the hot section make (`HOT_ENDS`).
 //!
 //! The error is meant as one that 19 of 20 true errors do not exceed; `python3 scripts/figures.py errors` compares it with finite
 //! elements and exact solutions.
@@ -116,7 +116,7 @@ pub fn order(config: &Config, figure: &str) -> f64 {
 
 /// The least relative error of a figure of heat of fixed particles between two walls in the plane; 0 for others. Three spacings that agree do not
 /// show it.
-pub fn of_hot_ends(config: &Config, figure: &str) -> f64 {
+fn of_hot_ends(config: &Config, figure: &str) -> f64 {
     let facts = config.method.facts();
     let is_between = config.scene == Family::HeatedChannel && !facts.moves;
     match is_between && is_of_heat(config, figure) {

@@ -37,25 +37,22 @@ pub fn run(family: &[Case], repeats: usize, bar: &Progress) -> anyhow::Result<(V
     Ok((rows, left_out))
 }
 
-/// The operations of steps that were counted: those of a scene do not depend on precision and threads.
+/// The operations of steps that were counted, in 1e9: those of a scene do not depend on precision and threads.
 #[derive(Default)]
 struct Counted(Vec<((Source, Kind), f64)>);
 
 impl Counted {
-    /// In 1e9 a step; none where nothing counts them.
+    /// None where nothing counts them.
     fn of(&mut self, case: &Case) -> anyhow::Result<Option<f64>> {
         if !case.has_roofline() || !cfg!(target_arch = "x86_64") {
             return Ok(None);
         }
-        let (source, kind) = (case.source.clone(), case.kind);
-        let known = self.0.iter().find(|(of, _)| *of == (source.clone(), kind)).map(|(_, operations)| *operations);
-        let operations = match known {
-            Some(operations) => operations,
-            None => ask(&case.label(), &Request::Count(Box::new(case.clone())), 1)?,
-        };
-        if known.is_none() {
-            self.0.push(((source, kind), operations));
+        let of = (case.source.clone(), case.kind);
+        if let Some((_, known)) = self.0.iter().find(|(known, _)| *known == of) {
+            return Ok(Some(*known));
         }
+        let operations: f64 = ask(&case.label(), &Request::Count(Box::new(case.clone())), 1)?;
+        self.0.push((of, 1e-9 * operations));
         Ok(Some(1e-9 * operations))
     }
 }

@@ -15,13 +15,14 @@ use crate::numerics::pool::Buffers;
 use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::sizes::Sizes;
-use crate::surrogate::network::graph::Ends;
+use crate::surrogate::network::graph::{Ends, Graph};
 use crate::surrogate::network::layers::{builder, embedded, on_device, Perceptron};
 use crate::surrogate::network::messages::Messages;
 use crate::surrogate::network::mlp::{Mlp, MlpShape};
 use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
 use candle_nn::{embedding, Module, VarBuilder};
+use std::sync::Arc;
 
 pub struct Egnn {
     sizes: Sizes,
@@ -106,7 +107,7 @@ impl Parts for Composed<'_> {
 /// Of fused operators.
 struct Fused<'a, R: Real> {
     sizes: &'a Sizes,
-    inputs: &'a Inputs,
+    graph: &'a Arc<Graph>,
     parameters: &'a [Tensor],
     memory: &'a Buffers<R>,
 }
@@ -121,7 +122,7 @@ impl<R: Real> Parts for Fused<'_, R> {
     }
 
     fn messages(&self, part: Part, shape: MlpShape, h: &Tensor, length: &Tensor) -> Result<Tensor> {
-        let messages = Messages::<R>::new(&self.inputs.graph, self.sizes.latent, shape, self.memory);
+        let messages = Messages::<R>::new(self.graph, self.sizes.latent, shape, self.memory);
         apply3(messages, h, length, &self.parameters[part.place(self.sizes.rounds)])
     }
 }
@@ -184,11 +185,10 @@ impl Egnn {
         self.perceptron(self.sizes.latent, outputs, false)
     }
 
-    /// The invariant node features: speeds, and those after the velocities.
-    fn invariants(&self, inputs: &Inputs, velocities: &[Tensor]) -> Result<Vec<Tensor>> {
+    /// The invariant node features: speeds by the velocities `[N, W - 1, D]`, and those after the velocities.
+    fn invariants(&self, inputs: &Inputs, velocities: &Tensor) -> Result<Vec<Tensor>> {
         // 1e-12 under the root makes it differentiable at rest.
-        let speed = |v: &Tensor| (v.sqr()?.sum_keepdim(1)? + 1e-12)?.sqrt();
-        let mut invariants = velocities.iter().map(speed).collect::<Result<Vec<_>>>()?;
+        let mut invariants = vec![(velocities.sqr()?.sum(2)? + 1e-12)?.sqrt()?];
         let turning = self.velocities * self.dimension();
         if self.sizes.node_features > turning {
             invariants.push(inputs.nodes.narrow(1, turning, self.sizes.node_features - turning)?);
@@ -198,15 +198,13 @@ impl Egnn {
 
     fn run(&self, inputs: &Inputs, ends: &Ends, parts: &dyn Parts) -> Result<Tensor> {
         let (n, d, steps) = (inputs.graph.nodes(), self.dimension(), self.velocities);
-        let velocity = |k: usize| inputs.nodes.narrow(1, k * d, d);
-        let velocities = (0..steps).map(velocity).collect::<Result<Vec<_>>>()?;
-        let of_steps = inputs.nodes.narrow(1, 0, steps * d)?.reshape((n, steps, d))?;
+        let velocities = inputs.nodes.narrow(1, 0, steps * d)?.reshape((n, steps, d))?;
         let (relative, length) = (inputs.edges.narrow(1, 0, d)?, inputs.edges.narrow(1, d, 1)?);
 
         let mut scalars = self.invariants(inputs, &velocities)?;
         scalars.push(parts.embedded(&inputs.kinds)?);
         let mut h = parts.perceptron(Part::Encoder, self.encoder(), &Tensor::cat(&scalars, 1)?)?;
-        let mut x = velocities[0].zeros_like()?;
+        let mut x = Tensor::zeros((n, d), velocities.dtype(), velocities.device())?;
         for k in 0..self.sizes.rounds {
             let of = |role| Part::Round(k, role);
             let messages = parts.messages(of(Role::Messages), self.messages(), &h, &length)?;
@@ -217,7 +215,7 @@ impl Egnn {
             x = (x + ends.sums(&relative.broadcast_mul(&pull)?)?)?;
             // All u_k in one perceptron.
             let drift = parts.perceptron(of(Role::Drift), self.head(steps), &h)?.unsqueeze(2)?;
-            x = (x + of_steps.broadcast_mul(&drift)?.sum(1)?)?;
+            x = (x + velocities.broadcast_mul(&drift)?.sum(1)?)?;
         }
         match self.scalars() {
             0 => Ok(x),
@@ -227,7 +225,7 @@ impl Egnn {
 
     fn fused<R: Real>(&self, inputs: &Inputs, parameters: &[Tensor], memory: &Buffers<R>) -> Result<Tensor> {
         let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
-        self.run(inputs, &ends, &Fused { sizes: &self.sizes, inputs, parameters, memory })
+        self.run(inputs, &ends, &Fused { sizes: &self.sizes, graph: &inputs.graph, parameters, memory })
     }
 
     fn composed(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {

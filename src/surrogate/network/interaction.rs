@@ -94,13 +94,6 @@ impl<R: Real> Rounds<R> {
     }
 }
 
-/// What the k-th input of L numbers of the nodes' perceptron is multiplied with: rows k L to (k + 1) L of the first weight.
-#[inline(always)]
-fn weight_of(shape: &MlpShape, k: usize) -> Range<usize> {
-    let (at, length) = (shape.weight(0).start, shape.outputs * shape.hidden);
-    at + k * length..at + (k + 1) * length
-}
-
 /// What each sweep of a round needs.
 #[derive(Clone, Copy)]
 struct Round<'a, R: Real> {
@@ -199,8 +192,8 @@ impl<R: Real> Forward<'_, R> {
         let rows = if op.keeps { own.clone() } else { 0..nodes.len() };
         let (hidden, place) = (layers.first(&rows), times(&own, l));
         let (x, size) = (&self.round.nodes[times(&nodes, l)], (nodes.len(), l, h));
-        matrix::multiply(hidden, x, &p[weight_of(&op.node, 0)], size, false);
-        matrix::multiply(hidden, &given.sums[place.clone()], &p[weight_of(&op.node, 1)], size, true);
+        matrix::multiply(hidden, x, &p[op.node.weight_of(0..l)], size, false);
+        matrix::multiply(hidden, &given.sums[place.clone()], &p[op.node.weight_of(l..2 * l)], size, true);
         row::activate::<L>(hidden, &p[op.node.bias(0)]);
         mlp::forward_block::<L>(p, layers, &rows);
         let z = layers.normalised(&rows);
@@ -275,7 +268,7 @@ impl<R: Real> Backward<'_, R> {
         let (z_bar, first) = (&mut room.z[..count * l], &mut room.first[..count * h]);
         z_bar.copy_from_slice(nodes_bar);
         mlp::backward_block::<L>(p, &self.activations.node, &nodes, z_bar, g, first, &mut room.between);
-        let (own, of_sums) = (weight_of(&op.node, 0), weight_of(&op.node, 1));
+        let (own, of_sums) = (op.node.weight_of(0..l), op.node.weight_of(l..2 * l));
         matrix::add_transposed(&mut g[own.clone()], &self.round.nodes[place.clone()], first, (l, count, h));
         matrix::add_transposed(&mut g[of_sums.clone()], &self.activations.sums[place], first, (l, count, h));
         matrix::multiply_by_transposed(nodes_bar, first, &p[own], (count, h, l), true);

@@ -8,7 +8,6 @@ use crate::numerics::sweep::{cut, run_parts, PartKernel};
 use crate::surrogate::network::graph::Graph;
 use crate::surrogate::network::matrix;
 use crate::surrogate::network::mlp::{self, since, times, Activations, Cotangents, Layers, MlpShape};
-use crate::surrogate::network::row::each;
 use crate::surrogate::network::split_layer::{Projected, SplitLayer};
 use candle_core::{Result, Shape};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -47,7 +46,6 @@ impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
     fn part<L: Lanes<Real = R>>(&self, k: usize, (layers, out): &mut Self::Part) {
         let (layer, p, features) = (&self.op.layer, self.p, self.op.features());
         let (shape, h) = (layer.shape, layer.shape.hidden);
-        let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
         for nodes in layer.graph.stretches(layer.parts[k].clone(), layer.block) {
             let edges = layer.graph.entering(&nodes);
             let rows = since(layer.edge_parts[k].start, &edges);
@@ -55,10 +53,7 @@ impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
             matrix::multiply(hidden, x, &p[layer.weight_of_edge()], (edges.len(), features, h), false);
             layer.add_ends::<L>(hidden, edges, self.projected);
             mlp::forward_block::<L>(p, layers, &rows);
-            let (z, out) = (layers.normalised(&rows), &mut out[times(&rows, shape.outputs)]);
-            for (out, z) in out.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
-                each::<L, 3>(out, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
-            }
+            layers.output::<L>(p, &rows, &mut out[times(&rows, shape.outputs)]);
         }
     }
 }

@@ -50,6 +50,13 @@ impl MlpShape {
         at..at + inputs * outputs
     }
 
+    /// The rows of the first weight that some of the inputs are multiplied with.
+    #[inline(always)]
+    pub fn weight_of(&self, inputs: Range<usize>) -> Range<usize> {
+        let at = self.weight(0).start;
+        at + inputs.start * self.hidden..at + inputs.end * self.hidden
+    }
+
     pub fn bias(&self, k: usize) -> Range<usize> {
         let at = self.weight(k).end;
         at..at + self.size(k).1
@@ -155,6 +162,19 @@ impl<R: Real> Layers<'_, R> {
     #[inline(always)]
     pub fn normalised(&self, rows: &Range<usize>) -> &[R] {
         &self.normalised[times(rows, self.shape.outputs)]
+    }
+
+    /// What comes out for some rows: normalised ones with scale and offset.
+    #[inline(always)]
+    pub fn output<L: Lanes<Real = R>>(&self, p: &[R], rows: &Range<usize>, y: &mut [R]) {
+        let (shape, z) = (self.shape, self.normalised(rows));
+        if !shape.norm {
+            return y.copy_from_slice(z);
+        }
+        let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
+        for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
+            row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
+        }
     }
 }
 
@@ -348,15 +368,7 @@ impl<'a, R: Real> PartKernel<R> for Forward<'a, R> {
             matrix::multiply(hidden, x, &p[shape.weight(0)], (rows.len(), shape.inputs, shape.hidden), false);
             row::activate::<L>(hidden, &p[shape.bias(0)]);
             forward_block::<L>(p, layers, &rows);
-            let z = layers.normalised(&rows);
-            if shape.norm {
-                let (scale, offset) = (&p[shape.scale()], &p[shape.offset()]);
-                for (y, z) in y.chunks_exact_mut(shape.outputs).zip(z.chunks_exact(shape.outputs)) {
-                    row::each::<L, 3>(y, [z, scale, offset], |_, [z, scale, offset]| z * scale + offset);
-                }
-            } else {
-                y.copy_from_slice(z);
-            }
+            layers.output::<L>(p, &rows, y);
         }
     }
 }

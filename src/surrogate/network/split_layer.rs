@@ -52,14 +52,13 @@ impl<R: Real> SplitLayer<R> {
     /// The rows of the first weight that multiply the sender (0) or the receiver (1).
     #[inline(always)]
     fn weight_of_node(&self, k: usize) -> Range<usize> {
-        let (at, length) = (self.shape.weight(0).start, self.latent * self.shape.hidden);
-        at + k * length..at + (k + 1) * length
+        self.shape.weight_of(k * self.latent..(k + 1) * self.latent)
     }
 
     /// Those that multiply what the edge itself has.
     #[inline(always)]
     pub fn weight_of_edge(&self) -> Range<usize> {
-        self.weight_of_node(1).end..self.shape.weight(0).end
+        self.shape.weight_of(2 * self.latent..self.shape.inputs)
     }
 
     /// What the nodes `[N, L]` give to their edges, by the parameters `p` of the perceptron.
