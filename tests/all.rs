@@ -68,6 +68,7 @@ mod same_states;
 mod scene;
 mod schedule;
 mod slurm;
+mod sound;
 mod space;
 mod space_in_time;
 mod streamlines;

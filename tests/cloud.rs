@@ -284,7 +284,7 @@ fn fits_are_exact_for_quadratics_and_what_they_leave_vanishes() {
     let f: Vec<f64> = x.iter().zip(y).map(|(x, y)| 1.0 + 2.0 * x - y + 3.0 * x * x + x * y - 2.0 * y * y).collect();
     for i in 0..cloud.particles() {
         let exact = [2.0 + 6.0 * x[i] + y[i], -1.0 + x[i] - 4.0 * y[i], 6.0, 1.0, -4.0, 0.0];
-        let found = shaped.operators.derivatives(&cloud.stencils, i, &f);
+        let found = shaped.operators.derivatives(&cloud.fits.all, i, &f);
         let worst = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(worst < 1e-8, "particle {i}: {found:?}");
     }
@@ -302,7 +302,7 @@ fn quadratic_fields_are_interpolated_exactly_and_walls_hide_what_is_inside() {
     let value = |x: f64, y: f64| 1.0 + 2.0 * x - y + 3.0 * x * x + x * y - 2.0 * y * y;
     let [x, y] = &shaped.position;
     let f: Vec<f64> = x.iter().zip(y).map(|(x, y)| value(*x, *y)).collect();
-    let d: Vec<_> = (0..cloud.particles()).map(|i| shaped.operators.derivatives(&cloud.stencils, i, &f)).collect();
+    let d: Vec<_> = (0..cloud.particles()).map(|i| shaped.operators.derivatives(&cloud.fits.all, i, &f)).collect();
     let all = Interpolation::new(cloud, &shaped);
     let (mut inside, mut hidden) = (0, 0);
     let mut draw = noise(5);
@@ -429,12 +429,12 @@ fn the_residual_and_its_adjoint_equal_candles() {
         }
     }
     // The same by the coefficients' cotangents, in two parts.
-    let mut pairs = PairCotangents::zeros(&equations.stencils);
+    let mut pairs = PairCotangents::zeros(&equations.fits.all);
     let numbers: Vec<&[f64]> = state.fields.iter().map(Vec::as_slice).collect();
-    pairs.add(&equations.stencils, &numbers[..1], &bar.derivatives.0[..1]);
-    pairs.add(&equations.stencils, &numbers[1..], &bar.derivatives.0[1..]);
+    pairs.add(&equations.fits.all, &numbers[..1], &bar.derivatives.0[..1]);
+    pairs.add(&equations.fits.all, &numbers[1..], &bar.derivatives.0[1..]);
     let mut summed = bar.position.clone();
-    equations.stencils.pull_back_pairs(&shaped.position, &pairs, &mut summed);
+    equations.fits.all.pull_back_pairs(&shaped.position, &pairs, &mut summed);
     for d in 0..2 {
         for i in 0..n {
             assert!((own[d][i] - summed[d][i]).abs() < 1e-11 * size, "position {d} of particle {i} by pairs");
@@ -442,7 +442,7 @@ fn the_residual_and_its_adjoint_equal_candles() {
     }
     // The matrices are the derivatives by the fields.
     let theirs = gradients.get(&fields).unwrap().to_vec2::<f64>().unwrap();
-    let (mut of_u, mut of_t) = (equations.stencils.matrix(3), equations.stencils.matrix(1));
+    let (mut of_u, mut of_t) = (equations.fits.all.matrix(3), equations.fits.all.matrix(1));
     equations.flow_matrix(&state, &d, &shaped.operators, &mut of_u);
     equations.heat_matrix(&state, &shaped.operators, &mut of_t);
     let (mut by_u, by_t) = (of_u.times(&of_flow, true), of_t.times(&bars[3], true));

@@ -5,10 +5,12 @@ use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::sph::cloud::equations::Warmth;
 use hydrograd::sph::cloud::figures::Figure;
+use hydrograd::sph::cloud::fit_adjoint::PairCotangents;
+use hydrograd::sph::cloud::fits::Fits;
 use hydrograd::sph::cloud::nearest::{Nearest, Region};
 use hydrograd::sph::cloud::outline::Outline;
 use hydrograd::sph::cloud::space::equations::Motion;
-use hydrograd::sph::cloud::space::fits::{Fits, Where};
+use hydrograd::sph::cloud::space::fits::{fits, Where};
 use hydrograd::sph::cloud::space::particles::{Cloud, Fluid, Surroundings};
 use hydrograd::sph::cloud::space::placing::{BoundaryPoint, Ground};
 use hydrograd::sph::cloud::space::problem::SteadyFlow;
@@ -41,7 +43,7 @@ fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64)
 }
 
 /// A cloud of points without order: every third near a shape, every seventh on a boundary.
-fn scattered() -> (Fits, [Vec<f64>; 3], Vec<Where>) {
+fn scattered() -> (Fits<3>, [Vec<f64>; 3], Vec<Where>) {
     let region = Region { size: [1.0; 3], periodic: [false; 3] };
     let kind = |i: usize| match (i % 3, i % 7) {
         (0, _) => Where::NearShape,
@@ -54,7 +56,7 @@ fn scattered() -> (Fits, [Vec<f64>; 3], Vec<Where>) {
     let kinds: Vec<Where> = (0..200).map(kind).collect();
     let nearest = Nearest::new(region, 0.2, &places);
     let near: Vec<Vec<(f64, u32)>> = (0..200).map(|i| nearest.of(places[i], kinds[i].needs(), |j, _| j != i)).collect();
-    let fits = Fits::new(region, &places, &kinds, &near).expect("fits");
+    let fits = fits(region, &places, &kinds, &near).expect("fits");
     (fits, std::array::from_fn(|d| places.iter().map(|p| p[d]).collect()), kinds)
 }
 
@@ -114,6 +116,15 @@ fn positions_of_fits_have_exact_derivatives() {
     let central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
     let difference = (4.0 * central(5e-6) - central(1e-5)) / 3.0;
     assert!((exact / difference - 1.0).abs() < 1e-6, "{exact}, by differences {difference}");
+    // The same by the cotangents of all pairs' coefficients, those of each fit apart.
+    let mut pairs = PairCotangents::zeros(&fits.all);
+    pairs.add(&fits.all, &fields, &bar);
+    let mut summed: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; n]);
+    fits.pull_back_pairs(&position, pairs, &mut summed);
+    let size = found.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
+    for (own, known) in summed.iter().flatten().zip(found.iter().flatten()) {
+        assert!((own - known).abs() < 1e-11 * size, "{own}, {known}");
+    }
 }
 
 /// Zick and Homsy (1982), Stokes flow through a simple cubic array: drag in that of a sphere alone, by the part of space that

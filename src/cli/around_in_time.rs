@@ -21,7 +21,7 @@ use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
 use crate::scene::periods::Window;
 use crate::scene::record::Record;
-use crate::scene::warnings::Warning;
+use crate::scene::warnings::{self, Warning};
 use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::problem::Solution;
 use crate::sph::cloud::space;
@@ -109,7 +109,9 @@ impl<S> Run<S> {
             Ok(())
         })?;
         let seconds = clock.elapsed().as_secs_f64();
-        let mut warnings = vec![];
+        let config = around.config();
+        let mut warnings: Vec<Warning> =
+            warnings::speed(config, speed).filter(|_| config.has_sound()).into_iter().collect();
         // A run of minutes is not lost because its flow is not as expected.
         let window = around.window(&first, &history).unwrap_or_else(|error| {
             let (problem, advice) = match error {

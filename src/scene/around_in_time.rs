@@ -12,6 +12,8 @@ use crate::numerics::interrupt;
 use crate::sph::cloud::conditions::Conditions;
 use crate::sph::cloud::equations::{Bar, Condition, Motion, State, Warmth};
 use crate::sph::cloud::figures::Figure;
+use crate::sph::cloud::sound::{self, Medium, WithSound};
+use crate::sph::cloud::sound_adjoint::Heard;
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use crate::sph::cloud::unsteady::{Control, Flow, InTime, Scheme};
 use crate::sph::cloud::unsteady_adjoint::Taken;
@@ -65,6 +67,8 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     fn shaped(&self, variables: &[f64]) -> Result<Self::Shaped, Error>;
     fn view(shaped: &Self::Shaped) -> View<'_, D>;
     fn scheme<'a>(&'a self, shaped: &'a Self::Shaped) -> Self::March<'a>;
+    /// What a flow with sound needs of the cloud.
+    fn medium<'a>(&'a self, shaped: &'a Self::Shaped) -> Medium<'a, D, C>;
     /// A state with its derivatives at the boundary and where figures are read.
     fn seen(&self, shaped: &Arc<Self::Shaped>, time: f64, state: &State<F>) -> Self::Solution;
     /// Adds the cotangents of a figure times a weight.
@@ -145,7 +149,6 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     ) -> Result<(History, Self::Solution), Error> {
         let config = self.config();
         let Begun { shaped, first, flow_rate, start } = self.begin(variables)?;
-        let mut march = self.scheme(&shaped);
         let mut history = History { figures: self.named_figures(), ..History::default() };
         let boundary = Boundary { cloud: self.cloud(), view: Self::view(&shaped), start, wanted: &[] };
         let (mut last, mut moments) = (None, vec![]);
@@ -164,25 +167,59 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             last = Some(solution);
             Ok(())
         };
-        let mut flow = Flow { march: &mut march, boundary: &boundary, flow_rate, spacing: self.spacing() };
         let control = Control {
             tolerance: tolerance(config),
             velocity: config.fluid.reference_velocity,
             fixed: config.time.step,
             end: config.time.end,
         };
-        let taken = match sizes {
-            Some(sizes) => flow.repeat(first, sizes, &mut seen).map(|()| sizes.to_vec()),
-            None => flow.run(first, control, &mut seen),
+        let (taken, factorisations) = if config.has_sound() {
+            let chosen = sound::sizes(control, self.spacing());
+            let sizes = sizes.unwrap_or(&chosen);
+            (self.with_sound(&shaped, first, &boundary, sizes, &mut seen).map(|()| sizes.to_vec()), 1)
+        } else {
+            let mut march = self.scheme(&shaped);
+            let mut flow = Flow { march: &mut march, boundary: &boundary, flow_rate, spacing: self.spacing() };
+            let taken = match sizes {
+                Some(sizes) => flow.repeat(first, sizes, &mut seen).map(|()| sizes.to_vec()),
+                None => flow.run(first, control, &mut seen),
+            };
+            (taken, march.factorisations())
         };
         history.sizes = taken.map_err(|failure| match failure {
             Failure::Flow(why) => no_flow(config, &why),
             Failure::Other(error) => error,
         })?;
-        history.factorisations = march.factorisations();
+        history.factorisations = factorisations;
         history.moments = moments;
         let last = last.ok_or_else(|| Error::run("no step was taken".to_string(), "time.end above 0"))?;
         Ok((history, last))
+    }
+
+    /// Takes steps of these sizes from `first` on, the first ones of an incompressible fluid and the others with sound.
+    ///
+    /// # Errors
+    /// A flow that is not finite, and those of `seen`.
+    fn with_sound<E: From<NoSteadyState>>(
+        &self,
+        shaped: &Self::Shaped,
+        first: State<F>,
+        boundary: &dyn InTime<D, F, C>,
+        sizes: &[f64],
+        seen: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let (at_first, others) = sizes.split_at(sound::FIRST.min(sizes.len()));
+        let mut last = (0.0, first.clone());
+        {
+            let mut march = self.scheme(shaped);
+            let mut flow = Flow { march: &mut march, boundary, flow_rate: None, spacing: self.spacing() };
+            flow.repeat(first, at_first, &mut |time, state| {
+                last = (time, state.clone());
+                seen(time, state)
+            })?;
+        }
+        let flow = WithSound::new(self.medium(shaped))?;
+        flow.run((last.0, &last.1), boundary, self.config().fluid.reference_velocity, others, seen)
     }
 
     /// See [`Around::march_gradient`]. `memory`: bytes for states; with fewer more of them are made again.
@@ -199,7 +236,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         let slopes = slopes.map(|values| Ok::<_, Error>(self.window(variables, history)?.slopes(&times, &values)));
         let slopes = slopes.transpose()?;
         let Begun { shaped, first, flow_rate, start } = self.begin(variables)?;
-        let (mut march, view) = (self.scheme(&shaped), Self::view(&shaped));
+        let view = Self::view(&shaped);
         let boundary = Boundary { cloud: self.cloud(), view, start, wanted: self.wanted() };
         let mut figures = |k: usize, state: &State<F>, bar: &mut Bar<D, F, C>| {
             let Some(slopes) = &slopes else {
@@ -232,19 +269,51 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         let flow_rate_back = |state: &State<F>, weight: f64, bar: &mut Bar<D, F, C>| {
             self.pull_back(Figure::FlowRate, &self.seen(&shaped, 0.0, state), weight, bar);
         };
-        let taken = Taken {
+        let (sizes, wanted) = (history.sizes.as_slice(), self.wanted().len());
+        let taken = |sizes| Taken {
             position: view.position,
             boundary: &boundary,
             flow_rate,
             first: &first,
-            sizes: &history.sizes,
+            sizes,
             memory,
             by_viscosity: self.by_viscosity(),
             flow_rate_back: &flow_rate_back,
         };
-        let found = taken
-            .pull_back(&mut march, &mut figures, self.wanted().len())
-            .map_err(|why| no_flow(self.config(), &why))?;
+        let failed = |why| no_flow(self.config(), &why);
+        let found = if self.config().has_sound() {
+            let count = sound::FIRST.min(sizes.len());
+            let mut at_first = (0.0, first.clone());
+            let mut last = |time: f64, state: &State<F>| {
+                at_first = (time, state.clone());
+                Ok::<_, NoSteadyState>(())
+            };
+            self.with_sound(&shaped, first.clone(), &boundary, &sizes[..count], &mut last).map_err(failed)?;
+            let heard = Heard {
+                boundary: &boundary,
+                first: (at_first.0, &at_first.1),
+                sizes: &sizes[count..],
+                velocity: self.config().fluid.reference_velocity,
+                by_positions: self.wanted().iter().any(|number| !self.cloud().is_parameter(*number)),
+            };
+            let flow = WithSound::new(self.medium(&shaped)).map_err(failed)?;
+            let mut later = heard.pull_back(&flow, &mut |k, state, bar| figures(count + k, state, bar), wanted);
+            let start = std::mem::replace(&mut later.start, std::array::from_fn(|_| vec![]));
+            let mut of_first = |k: usize, state: &State<F>, bar: &mut Bar<D, F, C>| {
+                figures(k, state, bar);
+                if k + 1 == count {
+                    for (to, from) in bar.fields.iter_mut().zip(&start) {
+                        to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
+                    }
+                }
+            };
+            let found = taken(&sizes[..count]).pull_back(&mut self.scheme(&shaped), &mut of_first, wanted);
+            let mut found = found.map_err(failed)?;
+            found.add(later);
+            found
+        } else {
+            taken(sizes).pull_back(&mut self.scheme(&shaped), &mut figures, wanted).map_err(failed)?
+        };
         let mut all = self.by_variables(&shaped, &found.position, &found.bar)?;
         all.iter_mut().zip(found.parameters).for_each(|(all, by)| *all += by);
         if let Some(slopes) = slopes {

@@ -520,7 +520,14 @@ pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
         ),
         NoSteadyState::Unbounded { time } => Error::diverged(
             format!("the flow is not finite after t = {time:.4}"),
-            format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
+            match config.has_sound() {
+                true => format!(
+                    "fluid.sound_speed_factor={}, method.pressure=incompressible, or {}",
+                    2.0 * config.fluid.sound_speed_factor,
+                    finer(config)
+                ),
+                false => format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
+            },
         ),
         NoSteadyState::Unsolved => Error::diverged(
             "the iterations for a step in time did not converge".to_string(),

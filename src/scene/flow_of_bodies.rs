@@ -13,7 +13,9 @@ use crate::numerics::threads;
 use crate::sph::cloud::conditions::Conditions;
 use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::fit::COEFFICIENTS_3D;
+use crate::sph::cloud::fits::Fits;
 use crate::sph::cloud::problem::NoSolution;
+use crate::sph::cloud::sound::Medium;
 use crate::sph::cloud::space::equations::{Bar, State};
 use crate::sph::cloud::space::figures::Rate;
 use crate::sph::cloud::space::march::March;
@@ -153,6 +155,25 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
         let rate = Rate { measures: &self.flow.measures, shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
         March::new(cloud.equations(shaped), &cloud.places.place, &shaped.operators, held, threads::count())
+    }
+
+    fn medium<'a>(&'a self, shaped: &'a Shaped) -> Medium<'a, 3, COEFFICIENTS_3D> {
+        let cloud = &self.flow.cloud;
+        Medium {
+            fits: Arc::clone(&cloud.fits),
+            operators: &shaped.operators,
+            position: &shaped.position,
+            inside: cloud.places.inside,
+            spacing: &cloud.places.spacing,
+            conditions: &shaped.conditions,
+            viscosity: cloud.fluid.viscosity,
+            diffusivity: cloud.fluid.diffusivity,
+            force: cloud.fluid.force,
+            buoyancy: cloud.fluid.buoyancy,
+            sound: self.config().sound_speed(),
+            threads: threads::count(),
+            by_pairs: Fits::<3>::pull_back_pairs,
+        }
     }
 
     fn seen(&self, shaped: &Arc<Shaped>, time: f64, state: &State) -> Solution {

@@ -13,10 +13,12 @@ use crate::numerics::threads;
 use crate::sph::cloud::equations::{Bar, State};
 use crate::sph::cloud::figures::{Figure, Rate};
 use crate::sph::cloud::fit::COEFFICIENTS;
+use crate::sph::cloud::fits::Fits;
 use crate::sph::cloud::march::March;
 use crate::sph::cloud::outline::area;
 use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
+use crate::sph::cloud::sound::Medium;
 use crate::sph::cloud::steady::Held;
 use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
@@ -163,6 +165,25 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
         let rate = Rate { measures: &self.flow.measures, shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
         March::new(cloud.equations(shaped), &cloud.places.place, &shaped.operators, held, threads::count())
+    }
+
+    fn medium<'a>(&'a self, shaped: &'a Shaped) -> Medium<'a, 2, COEFFICIENTS> {
+        let cloud = &self.flow.cloud;
+        Medium {
+            fits: Arc::clone(&cloud.fits),
+            operators: &shaped.operators,
+            position: &shaped.position,
+            inside: cloud.places.inside,
+            spacing: &cloud.places.spacing,
+            conditions: &shaped.conditions,
+            viscosity: cloud.fluid.viscosity,
+            diffusivity: cloud.fluid.diffusivity,
+            force: cloud.fluid.force,
+            buoyancy: cloud.fluid.buoyancy,
+            sound: self.config().sound_speed(),
+            threads: threads::count(),
+            by_pairs: Fits::<2>::pull_back_pairs,
+        }
     }
 
     fn seen(&self, shaped: &Arc<Shaped>, _: f64, state: &State) -> Solution {

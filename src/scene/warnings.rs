@@ -56,7 +56,7 @@ impl Warning {
 }
 
 /// Warns about a flow that is faster than its reference velocity.
-fn speed(config: &Config, fastest: f64) -> Option<Warning> {
+pub fn speed(config: &Config, fastest: f64) -> Option<Warning> {
     let (reference, sound) = (config.fluid.reference_velocity, config.sound_speed());
     let mach = fastest / sound;
     let advice = format!("fluid.reference_velocity={} (the sound speed follows)", suggest::at_least(fastest, fastest));

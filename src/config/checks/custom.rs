@@ -2,7 +2,7 @@
 
 use crate::config::custom::{Fill, Kind, ShapeEntry, ShapeNumber, SideKind, VariableEntry};
 use crate::config::formula::{Formula, ReadFormula};
-use crate::config::method::fixed::{Fixed, FlowKind};
+use crate::config::method::fixed::{Fixed, FlowKind, PressureKind};
 use crate::config::range::{countable, is_whole, whole_spacings};
 use crate::config::scene::{Asked, Config, DriveName, Family, Goal, Method, ObjectiveKind};
 use crate::error::BadInput;
@@ -136,6 +136,12 @@ impl Config {
             Method::Fixed(fixed) if self.is_around_shapes() && fixed.flow == FlowKind::Unsteady => Some(fixed),
             _ => None,
         }
+    }
+
+    /// Whether the pressure of a flow in time around shapes follows from a speed of sound.
+    pub fn has_sound(&self) -> bool {
+        !self.is_periodic_box()
+            && self.unsteady().is_some_and(|fixed| fixed.pressure == PressureKind::WeaklyCompressible)
     }
 
     /// How formulas on walls are read: in a flow that goes on in time they may have it.
@@ -293,6 +299,11 @@ impl Config {
             return Err(bad("fluid.drive", "= pumping-power with method.flow = unsteady".into())
                 .allowed("body-force, flow-rate; pumping-power with method.flow = steady")
                 .advice("fluid.drive=body-force, or method.flow=steady"));
+        }
+        if self.has_sound() && self.fluid.drive == DriveName::FlowRate {
+            return Err(bad("fluid.drive", "= flow-rate with method.pressure = weakly-compressible".into())
+                .allowed("body-force; flow-rate with method.pressure = incompressible")
+                .advice("fluid.drive=body-force, or method.pressure=incompressible"));
         }
         self.check_objective_of_shapes(has_heat)
     }

@@ -23,6 +23,7 @@ section! {
     "method.": Fixed {
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);
         flow: FlowKind = FlowKind::Steady;
+        pressure: PressureKind = PressureKind::Incompressible;
         derivatives: Derivatives = Derivatives::Spectral;
         tolerance: f64 = 1e-3, Within(1e-9, 1.0);
     }
@@ -45,6 +46,17 @@ pub enum Derivatives {
 pub enum FlowKind {
     Steady,
     Unsteady,
+}
+
+/// What the pressure of a flow in time around shapes follows from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PressureKind {
+    /// A velocity without divergence: both are solved for together in each step.
+    #[default]
+    Incompressible,
+    /// A speed of sound: explicit steps.
+    WeaklyCompressible,
 }
 
 impl Kind for Fixed {

@@ -87,7 +87,7 @@ impl Pairs {
 pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Result<Tensor> {
     let (n, inside) = (equations.particles(), equations.inside);
     let fields = (0..4).map(|f| state.get(f)).collect::<Result<Vec<_>>>()?;
-    let all = Pairs::new(&equations.stencils)?.derivatives(position, &fields)?;
+    let all = Pairs::new(&equations.fits.all)?.derivatives(position, &fields)?;
     let [u, v, p, t] = [&fields[0], &fields[1], &fields[2], &fields[3]];
     let [du, dv, dp, dt] = [&all[0], &all[1], &all[2], &all[3]];
     let alpha = equations.diffusivity.unwrap_or(0.0);

@@ -33,7 +33,7 @@ impl Deformation {
                 matrix.values[diagonal] = 1.0;
                 continue;
             }
-            for k in 0..stencils.neighbours {
+            for k in 0..stencils.count(i) {
                 let c = operators.of(i, k);
                 let entry = matrix.entry(i, stencils.neighbour(i, k) as u32);
                 matrix.values[entry] += c[2] + c[4];

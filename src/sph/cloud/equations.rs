@@ -13,9 +13,11 @@
 //! The fits do not conserve volume exactly, so where no pressure is given, one number lambda takes the rest (about 1e-3 of
 //! the flow rate per area), and p = 0 at one particle.
 
-use super::fit::{Coefficients, Stencils, COEFFICIENTS, LEFT};
+use super::fit::{Coefficients, COEFFICIENTS, LEFT};
+use super::fits::Fits;
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::sph::laws::buoyancy::Buoyancy;
+use std::sync::Arc;
 
 /// Weight of S T beside the derivative across a wall, in scales of the fit. (Without it the temperatures of a disc with a given flux
 /// oscillate from point to point where it is badly resolved: its shape then meets one without a solution within 0.02 dx, with 1 in
@@ -82,7 +84,7 @@ pub struct Equations {
     pub inside: usize,
     /// Of each particle on the boundary.
     pub conditions: Vec<Condition>,
-    pub stencils: Stencils,
+    pub fits: Arc<Fits>,
 }
 
 /// tau = 2 / (4 nu / h^2 + 1.4 U / h).
@@ -107,12 +109,12 @@ impl<const F: usize, const C: usize> Derivatives<F, C> {
 
 impl Equations {
     pub fn particles(&self) -> usize {
-        self.stencils.particles
+        self.fits.all.particles
     }
 
     /// The weight of S T where a heat flux is given.
     pub fn smoothing(&self, i: usize) -> f64 {
-        SMOOTHING * self.stencils.scale(i)
+        SMOOTHING * self.fits.all.scale(i)
     }
 
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and p = 0 at particle 0.
@@ -127,7 +129,7 @@ impl Equations {
             let value = &state.fields[f];
             match f {
                 3 if !heat || self.diffusivity.is_none() => vec![[0.0; COEFFICIENTS]; n],
-                _ => (0..n).map(|i| operators.derivatives(&self.stencils, i, value)).collect(),
+                _ => (0..n).map(|i| operators.derivatives(&self.fits.all, i, value)).collect(),
             }
         };
         Derivatives(std::array::from_fn(of))
@@ -138,7 +140,7 @@ impl Equations {
         let mut d = Derivatives::zeros(self.particles());
         for f in (0..4).filter(|&f| f < 3 || self.diffusivity.is_some()) {
             for i in (self.inside..self.particles()).chain(more.iter().copied()) {
-                d.0[f][i] = operators.derivatives(&self.stencils, i, &state.fields[f]);
+                d.0[f][i] = operators.derivatives(&self.fits.all, i, &state.fields[f]);
             }
         }
         d
@@ -217,7 +219,7 @@ impl Equations {
             let diagonal = matrix.entry(i, i as u32);
             let mut own = [0.0; 9];
             let mut own_heat = 0.0;
-            for k in 0..self.stencils.neighbours {
+            for k in 0..self.fits.all.count(i) {
                 let c = operators.of(i, k);
                 let mut block = [0.0; 9];
                 (block[6], block[7], block[8]) = (c[0], c[1], -self.damping[i] * c[LEFT]);
@@ -237,7 +239,7 @@ impl Equations {
                 for (own, value) in own.iter_mut().zip(&block) {
                     *own -= value;
                 }
-                let entry = matrix.entry(i, self.stencils.neighbour(i, k) as u32);
+                let entry = matrix.entry(i, self.fits.all.neighbour(i, k) as u32);
                 add(matrix.block_mut(entry), &block);
                 if size == 4 {
                     let heat = self.heat_entry(state, i, &c);
@@ -294,10 +296,10 @@ impl Equations {
         matrix.values.fill(0.0);
         for i in 0..self.particles() {
             let mut own = 0.0;
-            for k in 0..self.stencils.neighbours {
+            for k in 0..self.fits.all.count(i) {
                 let value = self.heat_entry(state, i, &operators.of(i, k));
                 own -= value;
-                let entry = matrix.entry(i, self.stencils.neighbour(i, k) as u32);
+                let entry = matrix.entry(i, self.fits.all.neighbour(i, k) as u32);
                 matrix.values[entry] += value;
             }
             let diagonal = matrix.entry(i, i as u32);
@@ -454,7 +456,7 @@ impl Equations {
             if f == 3 && self.diffusivity.is_none() {
                 continue;
             }
-            operators.pull_back(&self.stencils, &bar.derivatives.0[f], to);
+            operators.pull_back(&self.fits.all, &bar.derivatives.0[f], to);
         }
         fields
     }
@@ -464,7 +466,7 @@ impl Equations {
         let mut found = bar.position.clone();
         let [u, v, p, t] = &state.fields;
         let (fields, count): ([&[f64]; 4], _) = ([u, v, p, t], if self.diffusivity.is_some() { 4 } else { 3 });
-        self.stencils.pull_back(position, &fields[..count], &bar.derivatives.0[..count], &mut found);
+        self.fits.pull_back(position, &fields[..count], &bar.derivatives.0[..count], &mut found);
         found
     }
 }

@@ -1,4 +1,4 @@
-//! Derivatives at fixed particles by fits of second order (in space also of third), with weights that do not depend on the shape.
+//! Derivatives at fixed particles by fits of second or third order, with weights that do not depend on the shape.
 //!
 //! Every particle i has the K nearest particles of the reference cloud as neighbours, with weights
 //! W = (1 - q)^4 (1 + 4 q), q = r0 / R_i, of their reference distances r0, R_i the distance of neighbour K + 1. Lists and
@@ -142,15 +142,26 @@ impl<const D: usize> Stencils<D> {
         Ok(all)
     }
 
+    /// Whether fits of third order are among them.
+    pub(super) fn has_third(&self) -> bool {
+        self.third.contains(&1.0)
+    }
+
     /// Number of neighbours of particle i, with those that fill up its block.
     pub fn count(&self, i: usize) -> usize {
         self.first[i / WIDEST + 1] - self.first[i / WIDEST]
     }
 
+    /// Row of neighbour k of the block of particle i in a table of pairs.
+    #[inline(always)]
+    pub(super) fn row(&self, i: usize, k: usize) -> usize {
+        self.first[i / WIDEST] + k
+    }
+
     /// Place of particle i and neighbour k in a table of pairs.
     #[inline(always)]
     fn place(&self, i: usize, k: usize) -> usize {
-        (self.first[i / WIDEST] + k) * WIDEST + i % WIDEST
+        self.row(i, k) * WIDEST + i % WIDEST
     }
 
     /// A table of `width` numbers for each pair, cut into blocks.
@@ -224,18 +235,23 @@ impl<const D: usize> Stencils<D> {
 
 /// What fits in a number of dimensions are made of.
 macro_rules! in_dimension {
-    ($dimension: literal, $coefficients: ident, $monomials: expr) => {
+    ($dimension: literal, $coefficients: ident) => {
         impl Stencils<$dimension> {
             /// The coefficients of all pairs for positions `[D][N]`, `[blocks, K, C, WIDEST]`.
             pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
-                self.all_coefficients::<{ $monomials }, { packed($monomials) }, $coefficients>(position)
+                const SECOND: usize = monomials($dimension);
+                const THIRD: usize = to_third($dimension);
+                match self.has_third() {
+                    true => self.all_coefficients::<THIRD, { packed(THIRD) }, $coefficients>(position),
+                    false => self.all_coefficients::<SECOND, { packed(SECOND) }, $coefficients>(position),
+                }
             }
         }
     };
 }
 
-in_dimension!(2, COEFFICIENTS, monomials(2));
-in_dimension!(3, COEFFICIENTS_3D, to_third(3));
+in_dimension!(2, COEFFICIENTS);
+in_dimension!(3, COEFFICIENTS_3D);
 
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]
@@ -245,15 +261,15 @@ pub struct Coefficients<const C: usize = COEFFICIENTS> {
 }
 
 impl<const C: usize> Coefficients<C> {
-    /// Replaces first derivatives and S of every particle i by those of `other` coefficients, whose `count(i)` neighbours are the first of
+    /// Replaces those that are `taken` of every particle i by those of `other` coefficients, whose `count(i)` neighbours are the first of
     /// this one's.
-    pub fn take_slopes(&mut self, other: &Self, count: impl Fn(usize) -> usize, dimension: usize) {
+    pub fn take(&mut self, other: &Self, count: impl Fn(usize) -> usize, taken: &[bool; C]) {
         for i in 0..(self.first.len() - 1) * WIDEST {
             let block = i / WIDEST;
             for k in 0..self.first[block + 1] - self.first[block] {
                 let first = (self.first[block] + k) * C * WIDEST + i % WIDEST;
-                let slopes = if k < count(i) { other.of(i, k) } else { [0.0; C] };
-                (0..dimension).chain([C - 1]).for_each(|c| self.value[first + c * WIDEST] = slopes[c]);
+                let others = if k < count(i) { other.of(i, k) } else { [0.0; C] };
+                (0..C).filter(|c| taken[*c]).for_each(|c| self.value[first + c * WIDEST] = others[c]);
             }
         }
     }

@@ -31,6 +31,34 @@ impl<const C: usize> PairCotangents<C> {
     }
 }
 
+impl<const C: usize> PairCotangents<C> {
+    /// Adds those of coefficient c of a row of pairs.
+    pub(super) fn add_row(&mut self, row: usize, c: usize, more: &[f64]) {
+        let own = &mut self.value[(row * C + c) * WIDEST..][..WIDEST];
+        own.iter_mut().zip(more).for_each(|(own, more)| *own += more);
+    }
+
+    /// Those of the coefficients that are `taken`, which are of `small`, whose neighbours are the first of those of `all`. They become 0
+    /// here.
+    pub(super) fn split<const D: usize>(&mut self, all: &Stencils<D>, small: &Stencils<D>, taken: &[bool; C]) -> Self {
+        let mut found = Self::zeros(small);
+        for block in 0..all.first.len() - 1 {
+            let (from, to) = (all.first[block], small.first[block]);
+            for k in 0..all.first[block + 1] - from {
+                let is_of_both = k < small.first[block + 1] - to;
+                for c in (0..C).filter(|c| taken[*c]) {
+                    let own = &mut self.value[((from + k) * C + c) * WIDEST..][..WIDEST];
+                    if is_of_both {
+                        found.value[((to + k) * C + c) * WIDEST..][..WIDEST].copy_from_slice(own);
+                    }
+                    own.fill(0.0);
+                }
+            }
+        }
+        found
+    }
+}
+
 /// Fields of a flow in space: three velocities, pressure and temperature.
 const FIELDS: usize = 5;
 
@@ -107,7 +135,7 @@ impl<const D: usize> Stencils<D> {
 
 /// What adjoints in a number of dimensions are made of.
 macro_rules! in_dimension {
-    ($dimension: literal, $coefficients: ident, $monomials: expr) => {
+    ($dimension: literal, $coefficients: ident) => {
         impl Stencils<$dimension> {
             /// The cotangents of positions `[D][N]`, added to `position_bar`, given those of the derivatives of fields.
             ///
@@ -119,12 +147,7 @@ macro_rules! in_dimension {
                 bar: &[Vec<[f64; $coefficients]>],
                 position_bar: &mut [Vec<f64>; $dimension],
             ) {
-                let known = Known::Fields(fields, bar);
-                self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
-                    position,
-                    known,
-                    position_bar,
-                );
+                self.pull_back_known(position, Known::Fields(fields, bar), position_bar);
             }
 
             /// The same, given the cotangents of all pairs' coefficients.
@@ -134,19 +157,32 @@ macro_rules! in_dimension {
                 pairs: &PairCotangents<$coefficients>,
                 position_bar: &mut [Vec<f64>; $dimension],
             ) {
-                let known = Known::Pairs(pairs);
-                self.pull_back_all::<{ $monomials }, { packed($monomials) }, $coefficients>(
-                    position,
-                    known,
-                    position_bar,
-                );
+                self.pull_back_known(position, Known::Pairs(pairs), position_bar);
+            }
+
+            fn pull_back_known(
+                &self,
+                position: &[Vec<f64>; $dimension],
+                known: Known<'_, $coefficients>,
+                position_bar: &mut [Vec<f64>; $dimension],
+            ) {
+                const SECOND: usize = monomials($dimension);
+                const THIRD: usize = to_third($dimension);
+                match self.has_third() {
+                    true => {
+                        self.pull_back_all::<THIRD, { packed(THIRD) }, $coefficients>(position, known, position_bar)
+                    }
+                    false => {
+                        self.pull_back_all::<SECOND, { packed(SECOND) }, $coefficients>(position, known, position_bar);
+                    }
+                }
             }
         }
     };
 }
 
-in_dimension!(2, COEFFICIENTS, monomials(2));
-in_dimension!(3, COEFFICIENTS_3D, to_third(3));
+in_dimension!(2, COEFFICIENTS);
+in_dimension!(3, COEFFICIENTS_3D);
 
 /// Parts of the particles whose sums are apart from each other, for any number of threads.
 const PARTS: usize = 4;

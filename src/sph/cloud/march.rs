@@ -101,7 +101,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     }
 
     fn carriers(&self) -> (&Stencils, &Coefficients) {
-        (&self.solver.equations.stencils, self.operators)
+        (&self.solver.equations.fits.all, self.operators)
     }
 
     fn derivatives(&self, state: &State, everywhere: bool) -> Derivatives {
@@ -120,21 +120,21 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     type Sums = (PairCotangents, [Vec<f64>; 2]);
 
     fn sums(&self) -> Self::Sums {
-        let pairs = PairCotangents::zeros(&self.solver.equations.stencils);
+        let pairs = PairCotangents::zeros(&self.solver.equations.fits.all);
         (pairs, std::array::from_fn(|_| vec![0.0; self.particles()]))
     }
 
     fn add_to(&self, sums: &mut Self::Sums, _position: &[Vec<f64>; 2], state: &State, bar: &Bar) {
         let [u, v, p, t] = &state.fields;
         let (all, count): ([&[f64]; 4], _) = ([u, v, p, t], if self.has_heat() { 4 } else { 3 });
-        sums.0.add(&self.solver.equations.stencils, &all[..count], &bar.derivatives.0[..count]);
+        sums.0.add(&self.solver.equations.fits.all, &all[..count], &bar.derivatives.0[..count]);
         for (sums, bar) in sums.1.iter_mut().zip(&bar.position) {
             sums.iter_mut().zip(bar).for_each(|(sum, bar)| *sum += bar);
         }
     }
 
     fn by_sums(&self, position: &[Vec<f64>; 2], (pairs, mut found): Self::Sums) -> [Vec<f64>; 2] {
-        self.solver.equations.stencils.pull_back_pairs(position, &pairs, &mut found);
+        self.solver.equations.fits.pull_back_pairs(position, pairs, &mut found);
         found
     }
 

@@ -4,11 +4,13 @@ use super::conditions::Conditions;
 use super::deformation::Deformation;
 use super::equations::{damping, Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
 use super::fit::{Coefficients, Stencils};
+use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
 use super::wall_fit::{self, WallFit};
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::fmt::Debug;
+use std::sync::Arc;
 
 /// Neighbours of the fits. (Measured around ten bodies in a channel, dx = 0.02. With 16 to 18 the heat is at most 0.6, 0.4 and 0.3 % off
 /// finite elements; its gradient by the radii of a spline is along theirs with a cosine of 0.983, 0.981, 0.980. Flow and drag are best
@@ -56,10 +58,10 @@ pub struct Cloud {
     pub places: Places,
     pub fluid: Fluid,
     pub deformation: Deformation,
-    pub stencils: Stencils,
+    pub fits: Arc<Fits>,
     /// Of each point of the boundary that is on no body, with heat.
     pub wall_fits: Vec<Option<WallFit>>,
-    pub surroundings: std::sync::Arc<dyn Surroundings>,
+    pub surroundings: Arc<dyn Surroundings>,
 }
 
 /// The cloud of one shape.
@@ -215,7 +217,7 @@ impl Cloud {
     pub fn new(
         ground: Ground,
         fluid: Fluid,
-        surroundings: std::sync::Arc<dyn Surroundings>,
+        surroundings: Arc<dyn Surroundings>,
         threads: usize,
     ) -> Result<Self, Unusable> {
         let places = ground.fill().map_err(Unusable::Placing)?;
@@ -237,7 +239,7 @@ impl Cloud {
         let operators = stencils.coefficients(&position);
         let deformation = Deformation::new(&stencils, &operators, &places.place, places.inside, threads)
             .map_err(|_| Unusable::Singular)?;
-        Ok(Self { ground, places, fluid, deformation, stencils, wall_fits, surroundings })
+        Ok(Self { ground, places, fluid, deformation, fits: Arc::new(Fits::of_one(stencils)), wall_fits, surroundings })
     }
 
     pub fn particles(&self) -> usize {
@@ -261,7 +263,7 @@ impl Cloud {
             spacing: self.places.spacing.clone(),
             inside: self.places.inside,
             conditions: shaped.conditions.clone(),
-            stencils: self.stencils.clone(),
+            fits: Arc::clone(&self.fits),
         }
     }
 
@@ -303,11 +305,11 @@ impl Cloud {
             let moved = self.deformation.displacement(&moved[d]);
             self.places.place.iter().zip(moved).map(|(p, moved)| p[d] + moved).collect()
         });
-        if let Some(place) = self.stencils.folded(&self.places.place, &position, 4) {
+        if let Some(place) = self.fits.all.folded(&self.places.place, &position, 4) {
             return Err(Unusable::Folded(place));
         }
         let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
-        let operators = self.stencils.coefficients(&position);
+        let operators = self.fits.coefficients(&position);
         Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
     }
 

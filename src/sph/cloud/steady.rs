@@ -225,7 +225,7 @@ impl Solver {
 
     /// A solver whose flow has three unknowns, or four with the temperature.
     pub(super) fn of_size(equations: Equations, places: &[[f64; 2]], size: usize, threads: usize) -> Self {
-        let (flow, heat) = (equations.stencils.matrix(size), equations.stencils.matrix(1));
+        let (flow, heat) = (equations.fits.all.matrix(size), equations.fits.all.matrix(1));
         let order = Arc::new(Order::new(&flow, |i| places[i]));
         Self { equations, threads, order, flow, heat, factors: None, counts: Counts::default() }
     }

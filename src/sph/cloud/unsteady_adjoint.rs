@@ -57,6 +57,28 @@ pub struct Cotangents<const D: usize, const F: usize, const C: usize> {
     pub start: [Vec<f64>; F],
 }
 
+impl<const D: usize, const F: usize, const C: usize> Cotangents<D, F, C> {
+    /// Adds those of another part of a flow, but for the first state's.
+    pub fn add(&mut self, other: Self) {
+        let Bar { boundary, viscosity, volume, numbers, .. } = other.bar;
+        for (to, from) in self.bar.boundary.iter_mut().zip(boundary) {
+            for e in 0..D {
+                to.velocity[e] += from.velocity[e];
+                to.normal[e] += from.normal[e];
+                to.area[e] += from.area[e];
+            }
+            to.temperature += from.temperature;
+        }
+        self.bar.viscosity += viscosity;
+        self.bar.volume += volume;
+        self.bar.numbers.extend(numbers);
+        for (to, from) in self.position.iter_mut().zip(other.position) {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
+        }
+        self.parameters.iter_mut().zip(other.parameters).for_each(|(to, from)| *to += from);
+    }
+}
+
 /// Cotangents of a state's fields and of its advection, `[carried][inside]`.
 #[derive(Clone)]
 struct Back<const F: usize> {

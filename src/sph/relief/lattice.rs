@@ -3,11 +3,11 @@
 use crate::numerics::sparse_lu::Order;
 use crate::sph::cloud::equations::{damping, Warmth};
 use crate::sph::cloud::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
+use crate::sph::cloud::fits::Fits;
 use crate::sph::cloud::nearest::{Nearest, Region};
 use crate::sph::cloud::space::equations::{
     Bar, Condition, Derivatives, End, Equations, Motion, State, FLOW, TEMPERATURE,
 };
-use crate::sph::cloud::space::fits::Fits;
 use crate::sph::cloud::space::steady::{FlowRate, Solver};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use std::sync::Arc;
@@ -61,7 +61,7 @@ pub struct Channel {
 #[derive(Debug)]
 pub struct OverRelief {
     pub channel: Channel,
-    fits: Arc<Fits>,
+    fits: Arc<Fits<3>>,
     ends: Vec<Option<End>>,
     /// Of up to [`FACTORISED`] particles.
     order: Option<Arc<Order>>,

@@ -12,7 +12,7 @@
 
 use super::super::equations::{self, damping_slope, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
-use super::fits::Fits;
+use super::super::fits::Fits;
 use crate::sph::consistent::stencil::quadratic;
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::sync::Arc;
@@ -63,7 +63,7 @@ pub struct Equations {
     pub conditions: Vec<Condition>,
     /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
     pub ends: Vec<Option<End>>,
-    pub fits: Arc<Fits>,
+    pub fits: Arc<Fits<3>>,
 }
 
 /// The sum of the second derivatives.

@@ -5,11 +5,12 @@
 use super::super::conditions::Conditions;
 use super::super::equations::{damping, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
+use super::super::fits::Fits;
 use super::super::nearest::{Nearest, Region};
 use super::super::outline::Dual;
 use super::super::particles::Unusable;
 use super::equations::{Bar, Condition, Equations, Motion};
-use super::fits::{Fits, Where};
+use super::fits::{fits, Where};
 use super::placing::{BoundaryPoint, Ground, Places};
 use super::scalar::Scalar;
 use super::surface::OnSurface;
@@ -51,7 +52,7 @@ pub struct Cloud {
     pub ground: Ground,
     pub places: Places,
     pub fluid: Fluid,
-    pub fits: Arc<Fits>,
+    pub fits: Arc<Fits<3>>,
     pub surroundings: Arc<dyn Surroundings>,
     /// Middle of the points of each shape.
     pub centre: Vec<[f64; 3]>,
@@ -91,7 +92,7 @@ impl Cloud {
         let places = ground.fill().map_err(Unusable::Placing)?;
         let kinds: Vec<Where> = (0..places.place.len()).map(|i| kind(&ground, &places, i)).collect();
         let near = neighbours(&ground, &places, &kinds, threads);
-        let fits = Fits::new(ground.region, &places.place, &kinds, &near);
+        let fits = fits(ground.region, &places.place, &kinds, &near);
         let fits = Arc::new(fits.map_err(|i| Unusable::Lonely(places.place[i]))?);
         let stencils = &fits.all;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());

@@ -1,0 +1,91 @@
+//! Derivatives of a particle by two fits: some by one of second order, the others by one of third order to more neighbours.
+//!
+//! A fit of third order has smaller errors, but hardly sees a checkerboard of the pressure, so that S ([`super::fit`]) stays with one of
+//! second order. Which other derivatives are of which fit is a matter of the dimension.
+
+use super::fit::{Coefficients, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
+use super::fit_adjoint::PairCotangents;
+
+/// The stencils of both fits. The neighbours of the smaller one are the first of those of the other.
+#[derive(Debug, Clone)]
+pub struct Fits<const D: usize = 2> {
+    /// The smaller fit, and whether slopes are of it, besides S; none where all derivatives are of one fit.
+    small: Option<(Stencils<D>, bool)>,
+    /// The other fit, which has all neighbours.
+    pub all: Stencils<D>,
+}
+
+impl<const D: usize> Fits<D> {
+    /// Two fits. `slopes`: whether slopes are of the smaller one.
+    pub fn of_two(small: Stencils<D>, all: Stencils<D>, slopes: bool) -> Self {
+        Self { small: Some((small, slopes)), all }
+    }
+
+    /// One fit for all derivatives.
+    pub fn of_one(all: Stencils<D>) -> Self {
+        Self { small: None, all }
+    }
+}
+
+/// Those of C coefficients that are of the smaller fit.
+fn of_small<const D: usize, const C: usize>(slopes: bool) -> [bool; C] {
+    std::array::from_fn(|c| c == C - 1 || (slopes && c < D))
+}
+
+/// Derivatives `[fields][N]` of which those that `kept` says are kept, and the others 0.
+fn part<const C: usize>(bar: &[Vec<[f64; C]>], kept: impl Fn(usize) -> bool) -> Vec<Vec<[f64; C]>> {
+    let of = |bar: &[f64; C]| std::array::from_fn(|c| if kept(c) { bar[c] } else { 0.0 });
+    bar.iter().map(|field| field.iter().map(of).collect()).collect()
+}
+
+/// What fits in a number of dimensions are made of.
+macro_rules! in_dimension {
+    ($dimension: literal, $coefficients: ident) => {
+        impl Fits<$dimension> {
+            /// The coefficients of all pairs of [`Self::all`] for positions `[D][N]`.
+            pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
+                let mut found = self.all.coefficients(position);
+                if let Some((small, slopes)) = &self.small {
+                    let taken = of_small::<$dimension, $coefficients>(*slopes);
+                    found.take(&small.coefficients(position), |i| small.count(i), &taken);
+                }
+                found
+            }
+
+            /// The cotangents of positions `[D][N]`, added to `position_bar`, given those of the derivatives of fields, see
+            /// [`Stencils::pull_back`].
+            pub fn pull_back(
+                &self,
+                position: &[Vec<f64>; $dimension],
+                fields: &[&[f64]],
+                bar: &[Vec<[f64; $coefficients]>],
+                position_bar: &mut [Vec<f64>; $dimension],
+            ) {
+                let Some((small, slopes)) = &self.small else {
+                    return self.all.pull_back(position, fields, bar, position_bar);
+                };
+                let taken = of_small::<$dimension, $coefficients>(*slopes);
+                small.pull_back(position, fields, &part(bar, |c| taken[c]), position_bar);
+                self.all.pull_back(position, fields, &part(bar, |c| !taken[c]), position_bar);
+            }
+
+            /// The same, given the cotangents of all coefficients of pairs of [`Self::all`].
+            pub fn pull_back_pairs(
+                &self,
+                position: &[Vec<f64>; $dimension],
+                mut pairs: PairCotangents<$coefficients>,
+                position_bar: &mut [Vec<f64>; $dimension],
+            ) {
+                if let Some((small, slopes)) = &self.small {
+                    let taken = of_small::<$dimension, $coefficients>(*slopes);
+                    let own = pairs.split(&self.all, small, &taken);
+                    small.pull_back_pairs(position, &own, position_bar);
+                }
+                self.all.pull_back_pairs(position, &pairs, position_bar);
+            }
+        }
+    };
+}
+
+in_dimension!(2, COEFFICIENTS);
+in_dimension!(3, COEFFICIENTS_3D);
