@@ -1,5 +1,5 @@
 //! Fixed particles around any shape: the steady state of an incompressible flow in two dimensions with its exact
-//! derivative by the numbers of the shapes, and flows in time ([`unsteady`]).
+//! derivative by the numbers of the shapes, and flows in time ([`unsteady`], and with sound [`sound`]).
 //!
 //! ```text
 //!   numbers -- outline --> points on walls -- deformation --> positions -- fit --> derivatives -- equations --> residual
