@@ -1,6 +1,7 @@
 //! Fixed particles around bodies in space, whose flow goes on in time, and with buoyancy.
 
 use crate::support::differences::of_mean;
+use crate::support::program::succeeds;
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::scene::around_flow::Around;
@@ -221,4 +222,25 @@ fn a_heated_cavity_has_the_heat_of_the_plane() {
     let found = nusselt(&around, &last);
     println!("{} steps: {found}", history.sizes.len());
     assert!((found / steady - 1.0).abs() < 1e-2, "{found}, steady {steady}");
+}
+
+/// The steady flow around a warm ball in a cold box, where the heat drives the flow: the exact derivative by radius and place beside
+/// differences of flows that are solved for anew.
+#[test]
+fn the_gradient_of_a_steady_flow_that_heat_drives_is_that_of_differences() {
+    let text = "region.size = [1.0, 1.0, 1.0]\nregion.periodic = [false, false, false]\nregion.acceleration = [0.0, -1.0, 0.0]\n\
+        region.sides.left = { kind = \"wall\", temperature = 0 }\nregion.sides.right = { kind = \"wall\", temperature = 0 }\n\
+        fluid.viscosity = 0.05\nfluid.conductivity = 0.05\nfluid.reference_velocity = 0.3\nfluid.expansion = 2.0\n\
+        fluid.inlet_temperature = 0.0\ninitial.temperature = 0\nresolution.dx = 0.1\nobjective.kind = \"shape-heat\"\n\
+        [[variables]]\nnumber = \"shapes[0].radius\"\nlower = 0.15\nupper = 0.35\n\
+        [[variables]]\nnumber = \"shapes[0].centre[1]\"\nlower = 0.4\nupper = 0.6\n\
+        [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.45, 0.5]\nradius = 0.2\ntemperature = 1\n";
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.toml");
+    std::fs::write(&file, format!("scene = \"custom\"\nmethod.name = \"fixed\"\n{text}")).unwrap();
+    succeeds(folder.path(), &["check-gradient", "scene.toml", "--out", "check"]);
+    let found = std::fs::read_to_string(folder.path().join("check/gradient_check.json")).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&found).unwrap();
+    let difference = found["worst_relative_error"].as_f64().unwrap();
+    assert!(difference < 1e-7, "{difference} of the gradient's length");
 }
