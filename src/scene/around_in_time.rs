@@ -218,6 +218,9 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
                 seen(time, state)
             })?;
         }
+        if others.is_empty() {
+            return Ok(());
+        }
         let flow = WithSound::new(self.medium(shaped))?;
         flow.run((last.0, &last.1), boundary, self.config().fluid.reference_velocity, others, seen)
     }

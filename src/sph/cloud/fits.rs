@@ -1,7 +1,7 @@
 //! Derivatives of a particle by two fits: some by one of second order, the others by one of third order to more neighbours.
 //!
-//! A fit of third order has smaller errors, but hardly sees a checkerboard of the pressure, so that S ([`super::fit`]) stays with one of
-//! second order. Which other derivatives are of which fit is a matter of the dimension.
+//! A fit of third order has smaller errors, but hardly sees a checkerboard of the pressure, so that slopes and S ([`super::fit`]) stay with one
+//! of second order.
 
 use super::fit::{Coefficients, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
 use super::fit_adjoint::PairCotangents;
@@ -9,16 +9,16 @@ use super::fit_adjoint::PairCotangents;
 /// The stencils of both fits. The neighbours of the smaller one are the first of those of the other.
 #[derive(Debug, Clone)]
 pub struct Fits<const D: usize = 2> {
-    /// The smaller fit, and whether slopes are of it, besides S; none where all derivatives are of one fit.
-    small: Option<(Stencils<D>, bool)>,
+    /// The smaller fit, of slopes and S; none where all derivatives are of one fit.
+    small: Option<Stencils<D>>,
     /// The other fit, which has all neighbours.
     pub all: Stencils<D>,
 }
 
 impl<const D: usize> Fits<D> {
-    /// Two fits. `slopes`: whether slopes are of the smaller one.
-    pub fn of_two(small: Stencils<D>, all: Stencils<D>, slopes: bool) -> Self {
-        Self { small: Some((small, slopes)), all }
+    /// Two fits.
+    pub fn of_two(small: Stencils<D>, all: Stencils<D>) -> Self {
+        Self { small: Some(small), all }
     }
 
     /// One fit for all derivatives.
@@ -28,8 +28,8 @@ impl<const D: usize> Fits<D> {
 }
 
 /// Those of C coefficients that are of the smaller fit.
-fn of_small<const D: usize, const C: usize>(slopes: bool) -> [bool; C] {
-    std::array::from_fn(|c| c == C - 1 || (slopes && c < D))
+fn of_small<const D: usize, const C: usize>() -> [bool; C] {
+    std::array::from_fn(|c| c < D || c == C - 1)
 }
 
 /// Derivatives `[fields][N]` of which those that `kept` says are kept, and the others 0.
@@ -45,8 +45,8 @@ macro_rules! in_dimension {
             /// The coefficients of all pairs of [`Self::all`] for positions `[D][N]`.
             pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
                 let mut found = self.all.coefficients(position);
-                if let Some((small, slopes)) = &self.small {
-                    let taken = of_small::<$dimension, $coefficients>(*slopes);
+                if let Some(small) = &self.small {
+                    let taken = of_small::<$dimension, $coefficients>();
                     found.take(&small.coefficients(position), |i| small.count(i), &taken);
                 }
                 found
@@ -61,10 +61,10 @@ macro_rules! in_dimension {
                 bar: &[Vec<[f64; $coefficients]>],
                 position_bar: &mut [Vec<f64>; $dimension],
             ) {
-                let Some((small, slopes)) = &self.small else {
+                let Some(small) = &self.small else {
                     return self.all.pull_back(position, fields, bar, position_bar);
                 };
-                let taken = of_small::<$dimension, $coefficients>(*slopes);
+                let taken = of_small::<$dimension, $coefficients>();
                 small.pull_back(position, fields, &part(bar, |c| taken[c]), position_bar);
                 self.all.pull_back(position, fields, &part(bar, |c| !taken[c]), position_bar);
             }
@@ -76,8 +76,8 @@ macro_rules! in_dimension {
                 mut pairs: PairCotangents<$coefficients>,
                 position_bar: &mut [Vec<f64>; $dimension],
             ) {
-                if let Some((small, slopes)) = &self.small {
-                    let taken = of_small::<$dimension, $coefficients>(*slopes);
+                if let Some(small) = &self.small {
+                    let taken = of_small::<$dimension, $coefficients>();
                     let own = pairs.split(&self.all, small, &taken);
                     small.pull_back_pairs(position, &own, position_bar);
                 }

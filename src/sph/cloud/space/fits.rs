@@ -57,5 +57,5 @@ pub fn fits(
     let count = |which: usize| move |i: usize| kinds[i].counts()[which];
     let slopes = Stencils::new(region, places, count(0), |_| false, near)?;
     let all = Stencils::new(region, places, count(1), |i| kinds[i] == Where::NearShape, near)?;
-    Ok(Fits::of_two(slopes, all, true))
+    Ok(Fits::of_two(slopes, all))
 }
