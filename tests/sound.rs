@@ -12,11 +12,12 @@ use tempfile::TempDir;
 const METHOD: &str =
     "scene = \"custom\"\nmethod.name = \"fixed\"\nmethod.flow = \"unsteady\"\nmethod.pressure = \"weakly-compressible\"\n";
 
-fn config(text: &str) -> Config {
-    let folder = tempfile::tempdir().unwrap();
+fn config(text: &str, set: &[&str]) -> Config {
+    let folder = TempDir::new().unwrap();
     let file = folder.path().join("scene.toml");
+    let set: Vec<String> = set.iter().map(|set| set.to_string()).collect();
     fs::write(&file, format!("{METHOD}{text}")).unwrap();
-    Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config
+    Config::load(Some(file.to_str().unwrap()), None, &set).unwrap_or_else(|error| panic!("{error}")).config
 }
 
 /// A warm disc that turns back and forth in a stream that pulsates under a wall with a given heat flux, with buoyancy.
@@ -54,12 +55,15 @@ fn vortices_decay_as_they_must() {
         .map(|side| format!("region.sides.{side} = {{ kind = \"symmetry\" }}\n"))
         .concat();
     let error = |cells: f64, factor: f64| {
-        let around = AroundShapes::new(&config(&format!(
-            "region.size = [3.141592653589793, 3.141592653589793]\nregion.periodic = [false, false]\n{sides}\
+        let around = AroundShapes::new(&config(
+            &format!(
+                "region.size = [3.141592653589793, 3.141592653589793]\nregion.periodic = [false, false]\n{sides}\
              resolution.dx = {}\nfluid.viscosity = 0.1\nfluid.sound_speed_factor = {factor}\ntime.end = 1.0\n\
              initial.velocity = [\"sin(x)*cos(y)\", \"-cos(x)*sin(y)\"]\nobjective.kind = \"flow-rate\"\n",
-            std::f64::consts::PI / cells
-        )))
+                std::f64::consts::PI / cells
+            ),
+            &[],
+        ))
         .unwrap();
         let (history, last) = around.march(&[], None, &mut |_, _| Ok(())).unwrap();
         let decay = (-0.2f64).exp();
@@ -83,11 +87,7 @@ fn vortices_decay_as_they_must() {
 fn a_faster_sound_changes_little() {
     let drag = |more: &str| {
         let text = format!("{WARM}time.end = 4.2\nobjective.kind = \"flow-rate\"\n{DISC}");
-        let folder = TempDir::new().unwrap();
-        let file = folder.path().join("scene.toml");
-        fs::write(&file, format!("{METHOD}{text}")).unwrap();
-        let loaded = Config::load(Some(file.to_str().unwrap()), None, &[more.to_string()]);
-        let around = AroundShapes::new(&loaded.unwrap_or_else(|error| panic!("{error}")).config).unwrap();
+        let around = AroundShapes::new(&config(&text, &[more])).unwrap();
         let (history, _) = around.march(&[], None, &mut |_, _| Ok(())).unwrap();
         let k = history.figures.iter().position(|(name, _)| name == "shapes[0].drag").unwrap();
         let own = history.moments.iter().filter(|moment| moment.time > 4.2 - 2.0 * std::f64::consts::PI / 3.0);
@@ -148,16 +148,13 @@ fn any_number_of_threads_gives_the_same_flow() {
 /// 0.42 beside 0.38 with eight.)
 #[test]
 fn the_heat_of_a_ball_in_a_duct_is_that_of_an_incompressible_fluid() {
-    let of = |more: &[String]| {
-        let folder = TempDir::new().unwrap();
-        let file = folder.path().join("scene.toml");
-        fs::write(&file, format!("{METHOD}{DUCT}time.end = 1.0\nobjective.kind = \"flow-rate\"\n{BALL}")).unwrap();
-        let loaded = Config::load(Some(file.to_str().unwrap()), None, more).unwrap_or_else(|error| panic!("{error}"));
-        let around = AroundBodies::new(&loaded.config).unwrap();
+    let of = |set: &[&str]| {
+        let text = format!("{DUCT}time.end = 1.0\nobjective.kind = \"flow-rate\"\n{BALL}");
+        let around = AroundBodies::new(&config(&text, set)).unwrap();
         let (history, _) = around.march(&around.first(), None, &mut |_, _| Ok(())).unwrap();
         last(&history, "shapes[0].heat")
     };
-    let [own, other] = [of(&[]), of(&["method.pressure=incompressible".into()])];
+    let [own, other] = [of(&[]), of(&["method.pressure=incompressible"])];
     assert!((own / other - 1.0).abs() < 0.02, "{own} {other}");
 }
 

@@ -173,10 +173,10 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             fixed: config.time.step,
             end: config.time.end,
         };
-        let (taken, factorisations) = if config.has_sound() {
+        let taken = if config.has_sound() {
             let chosen = sound::sizes(control, self.spacing());
             let sizes = sizes.unwrap_or(&chosen);
-            (self.with_sound(&shaped, first, &boundary, sizes, &mut seen).map(|()| sizes.to_vec()), 1)
+            self.with_sound(&shaped, first, &boundary, sizes, &mut seen).map(|count| (sizes.to_vec(), count))
         } else {
             let mut march = self.scheme(&shaped);
             let mut flow = Flow { march: &mut march, boundary: &boundary, flow_rate, spacing: self.spacing() };
@@ -184,19 +184,19 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
                 Some(sizes) => flow.repeat(first, sizes, &mut seen).map(|()| sizes.to_vec()),
                 None => flow.run(first, control, &mut seen),
             };
-            (taken, march.factorisations())
+            taken.map(|sizes| (sizes, march.factorisations()))
         };
-        history.sizes = taken.map_err(|failure| match failure {
+        (history.sizes, history.factorisations) = taken.map_err(|failure| match failure {
             Failure::Flow(why) => no_flow(config, &why),
             Failure::Other(error) => error,
         })?;
-        history.factorisations = factorisations;
         history.moments = moments;
         let last = last.ok_or_else(|| Error::run("no step was taken".to_string(), "time.end above 0"))?;
         Ok((history, last))
     }
 
-    /// Takes steps of these sizes from `first` on, the first ones of an incompressible fluid and the others with sound.
+    /// Takes steps of these sizes from `first` on, the first ones of an incompressible fluid and the others with sound. Returns how many
+    /// matrices the first ones took.
     ///
     /// # Errors
     /// A flow that is not finite, and those of `seen`.
@@ -207,22 +207,23 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         boundary: &dyn InTime<D, F, C>,
         sizes: &[f64],
         seen: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
-    ) -> Result<(), E> {
+    ) -> Result<usize, E> {
         let (at_first, others) = sizes.split_at(sound::FIRST.min(sizes.len()));
         let mut last = (0.0, first.clone());
-        {
+        let factorisations = {
             let mut march = self.scheme(shaped);
             let mut flow = Flow { march: &mut march, boundary, flow_rate: None, spacing: self.spacing() };
             flow.repeat(first, at_first, &mut |time, state| {
                 last = (time, state.clone());
                 seen(time, state)
             })?;
+            march.factorisations()
+        };
+        if !others.is_empty() {
+            let flow = WithSound::new(self.medium(shaped))?;
+            flow.run((last.0, &last.1), boundary, self.config().fluid.reference_velocity, others, seen)?;
         }
-        if others.is_empty() {
-            return Ok(());
-        }
-        let flow = WithSound::new(self.medium(shaped))?;
-        flow.run((last.0, &last.1), boundary, self.config().fluid.reference_velocity, others, seen)
+        Ok(factorisations)
     }
 
     /// See [`Around::march_gradient`]. `memory`: bytes for states; with fewer more of them are made again.

@@ -438,6 +438,18 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
         }
     }
 
+    /// Adds those of the points of the boundary of another one.
+    pub fn add_walls(&mut self, other: &Self) {
+        for (to, from) in self.boundary.iter_mut().zip(&other.boundary) {
+            for e in 0..D {
+                to.normal[e] += from.normal[e];
+                to.area[e] += from.area[e];
+                to.velocity[e] += from.velocity[e];
+            }
+            to.temperature += from.temperature;
+        }
+    }
+
     /// Becomes zero.
     pub fn clear(&mut self) {
         self.derivatives.0.iter_mut().for_each(|field| field.fill([0.0; C]));

@@ -41,6 +41,7 @@ use crate::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::quadratic;
 use crate::sph::laws::buoyancy::Buoyancy;
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// tau in h / c.
@@ -96,7 +97,10 @@ pub(super) struct Edge<const F: usize> {
 impl<const F: usize> Edge<F> {
     /// The values at all points, or the transposed solution.
     pub fn solve(&self, right: Vec<f64>, transposed: bool) -> Vec<f64> {
-        self.lu.as_ref().map_or(right.clone(), |lu| lu.solve(&right, transposed))
+        match &self.lu {
+            Some(lu) => lu.solve(&right, transposed),
+            None => right,
+        }
     }
 }
 
@@ -112,17 +116,19 @@ pub struct WithSound<'a, const D: usize, const F: usize, const C: usize> {
     /// Of each field.
     pub(super) edges: [Edge<F>; F],
     /// Whether the mean of the pressure is 0.
-    pub(super) floats: bool,
+    floats: bool,
     /// The fastest rate of sound and viscosity.
     fastest: f64,
+    /// The smallest spacing.
+    least: f64,
     /// Area that a point of the boundary has, if sides are divided evenly, over that of all points where fluid leaves; empty if it leaves
     /// nowhere.
     pub(super) shares: Vec<f64>,
 }
 
 /// Conditions at a moment, and how fast given velocities change.
-pub(super) struct Walls<const D: usize> {
-    pub conditions: Vec<Condition<D>>,
+pub(super) struct Walls<'a, const D: usize> {
+    pub conditions: Cow<'a, [Condition<D>]>,
     pub acceleration: Vec<[f64; D]>,
 }
 
@@ -149,12 +155,14 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         damping.resize(blocks(n) * WIDEST, 0.0);
         let gives_pressure = medium.conditions.iter().any(|c| matches!(c.motion, Motion::Outflow(_)));
         let edges = std::array::from_fn(|_| Edge { rows: vec![], lu: None });
+        let least = smallest(medium.spacing);
         let own = |k: usize| medium.spacing[medium.inside + k].powi(D as i32 - 1);
         let leaves = |k: &usize| matches!(medium.conditions[*k].motion, Motion::Outflow(_));
         let points = 0..medium.conditions.len();
         let total: f64 = points.clone().filter(leaves).map(own).sum();
         let shares = if gives_pressure { points.map(|k| own(k) / total).collect() } else { vec![] };
-        let mut found = Self { medium, table, list, damping, edges, floats: !gives_pressure, fastest: 0.0, shares };
+        let mut found =
+            Self { medium, table, list, damping, edges, floats: !gives_pressure, fastest: 0.0, least, shares };
         let order = found.order();
         for f in 0..F {
             found.edges[f] = found.edge(f, &order)?;
@@ -177,7 +185,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             },
             ..*condition
         };
-        let conditions: Vec<Condition<D>> = self.medium.conditions.iter().map(zero).collect();
+        let conditions: Cow<'_, [Condition<D>]> = self.medium.conditions.iter().map(zero).collect();
         let walls = Walls { acceleration: vec![[0.0; D]; conditions.len()], conditions };
         let width = F * WIDEST;
         let count = blocks(self.medium.inside) * width;
@@ -313,17 +321,17 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     }
 
     /// The conditions at a time; `step`: over which velocities are compared.
-    pub(super) fn walls(&self, boundary: &dyn InTime<D, F, C>, time: f64, step: f64) -> Walls<D> {
+    pub(super) fn walls(&self, boundary: &dyn InTime<D, F, C>, time: f64, step: f64) -> Walls<'a, D> {
+        let conditions = boundary.at(time, self.medium.conditions);
         if !boundary.changes() {
-            let acceleration = vec![[0.0; D]; self.points()];
-            return Walls { conditions: self.medium.conditions.to_vec(), acceleration };
+            return Walls { conditions, acceleration: vec![[0.0; D]; self.points()] };
         }
         let (up, down) = (boundary.conditions(time + step), boundary.conditions(time - step));
         let of = |(up, down): (&Condition<D>, &Condition<D>)| match (up.motion, down.motion) {
             (Motion::Given(a), Motion::Given(b)) => std::array::from_fn(|e| (a[e] - b[e]) / (2.0 * step)),
             _ => [0.0; D],
         };
-        Walls { conditions: boundary.conditions(time), acceleration: up.iter().zip(&down).map(of).collect() }
+        Walls { conditions, acceleration: up.iter().zip(&down).map(of).collect() }
     }
 
     /// The pressure where fluid leaves, by the velocities of the boundary.
@@ -341,13 +349,19 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         self.medium.sound * self.shares.iter().enumerate().map(more).sum::<f64>()
     }
 
-    /// Gives the points of the boundary their fields.
-    pub(super) fn fill(&self, y: &mut [f64], walls: &Walls<D>) {
-        let (points, inside) = (self.points(), self.medium.inside);
+    /// Makes the mean of the pressure 0 where none is given; so does its transpose with cotangents.
+    pub(super) fn centre(&self, y: &mut [f64]) {
         if self.floats {
+            let inside = self.medium.inside;
             let mean = (0..inside).map(|i| y[field(F, i, D)]).sum::<f64>() / inside as f64;
             (0..inside).for_each(|i| y[field(F, i, D)] -= mean);
         }
+    }
+
+    /// Gives the points of the boundary their fields.
+    pub(super) fn fill(&self, y: &mut [f64], walls: &Walls<'_, D>) {
+        let (points, inside) = (self.points(), self.medium.inside);
+        self.centre(y);
         // Velocity and temperature first: the pressure follows from them.
         let after = self.has_heat().then_some(D + 1).into_iter().chain([D]);
         for f in (0..D).chain(after) {
@@ -400,8 +414,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
 
     /// The largest step that is stable, if the fluid is not faster than `velocity`.
     pub fn largest_step(&self, velocity: f64) -> f64 {
-        let least = self.medium.spacing.iter().fold(f64::MAX, |a, &b| a.min(b));
-        STABLE / (self.fastest + velocity / least)
+        STABLE / (self.fastest + velocity / self.least)
     }
 
     /// How many of these a step of this size takes.
@@ -480,11 +493,14 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     }
 }
 
+fn smallest(spacing: &[f64]) -> f64 {
+    spacing.iter().fold(f64::MAX, |a, &b| a.min(b))
+}
+
 /// The sizes of all steps to the end: as long as the flow allows.
 pub fn sizes(control: Control, spacing: &[f64]) -> Vec<f64> {
     let Control { velocity, fixed, end, .. } = control;
-    let least = spacing.iter().fold(f64::MAX, |a, &b| a.min(b));
-    let count = (end / fixed.unwrap_or(COURANT * least / velocity) * (1.0 - 1e-9)).ceil().max(1.0);
+    let count = (end / fixed.unwrap_or(COURANT * smallest(spacing) / velocity) * (1.0 - 1e-9)).ceil().max(1.0);
     vec![end / count; count as usize]
 }
 

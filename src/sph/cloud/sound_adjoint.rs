@@ -175,10 +175,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                 }
             }
         }
-        if self.floats {
-            let mean = (0..inside).map(|i| y_bar[field(F, i, D)]).sum::<f64>() / inside as f64;
-            (0..inside).for_each(|i| y_bar[field(F, i, D)] -= mean);
-        }
+        self.centre(y_bar);
         self.gather(boundary, time, found);
         if boundary.changes() {
             for sign in [1.0, -1.0] {
@@ -186,7 +183,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                     (0..D).for_each(|e| to.velocity[e] = sign * from[e] / (2.0 * step));
                 }
                 self.gather_changing(boundary, time + sign * step, found);
-                found.bar.boundary.iter_mut().for_each(|bar| *bar = Default::default());
+                found.bar.boundary.fill(Default::default());
             }
         }
     }
@@ -201,15 +198,8 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         if boundary.changes() {
             self.gather_changing(boundary, time, found);
         }
-        for (to, from) in found.all.bar.boundary.iter_mut().zip(&mut found.bar.boundary) {
-            for e in 0..D {
-                to.normal[e] += from.normal[e];
-                to.area[e] += from.area[e];
-                to.velocity[e] += from.velocity[e];
-            }
-            to.temperature += from.temperature;
-            *from = Default::default();
-        }
+        found.all.bar.add_walls(&found.bar);
+        found.bar.boundary.fill(Default::default());
     }
 
     /// The cotangents of the filled fields before a part of a step, given those after it, and the filled fields of its stages and its

@@ -60,18 +60,10 @@ pub struct Cotangents<const D: usize, const F: usize, const C: usize> {
 impl<const D: usize, const F: usize, const C: usize> Cotangents<D, F, C> {
     /// Adds those of another part of a flow, but for the first state's.
     pub fn add(&mut self, other: Self) {
-        let Bar { boundary, viscosity, volume, numbers, .. } = other.bar;
-        for (to, from) in self.bar.boundary.iter_mut().zip(boundary) {
-            for e in 0..D {
-                to.velocity[e] += from.velocity[e];
-                to.normal[e] += from.normal[e];
-                to.area[e] += from.area[e];
-            }
-            to.temperature += from.temperature;
-        }
-        self.bar.viscosity += viscosity;
-        self.bar.volume += volume;
-        self.bar.numbers.extend(numbers);
+        self.bar.add_walls(&other.bar);
+        self.bar.viscosity += other.bar.viscosity;
+        self.bar.volume += other.bar.volume;
+        self.bar.numbers.extend(other.bar.numbers);
         for (to, from) in self.position.iter_mut().zip(other.position) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
         }
@@ -261,14 +253,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         if self.boundary.changes() {
             self.boundary.pull_back(time, bar, &mut found.position, &mut found.parameters);
         }
-        for (to, from) in found.bar.boundary.iter_mut().zip(&bar.boundary) {
-            for e in 0..D {
-                to.normal[e] += from.normal[e];
-                to.area[e] += from.area[e];
-                to.velocity[e] += from.velocity[e];
-            }
-            to.temperature += from.temperature;
-        }
+        found.bar.add_walls(bar);
         found.bar.volume += bar.volume;
         found.bar.viscosity += bar.viscosity;
         found.bar.numbers.extend(&bar.numbers);
