@@ -5,7 +5,7 @@ use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::scene::around_flow::Around;
 use hydrograd::scene::around_shapes::AroundShapes;
-use hydrograd::scene::history::History;
+use hydrograd::scene::history::{History, Of};
 use std::fs;
 use tempfile::TempDir;
 
@@ -125,6 +125,31 @@ fn the_gradient_agrees_with_differences() {
         let text = succeeds(folder.path(), &["check-gradient", "scene.toml", "--threads", "2"]);
         println!("{text}");
         assert!(text.contains("PASSED") && text.contains("allowed 1e-6"), "{text}");
+    }
+}
+
+/// With less memory states are made again, by the same steps.
+#[test]
+fn the_gradient_is_the_same_in_any_memory() {
+    let text = format!(
+        "{WARM}time.end = 0.6\nobjective.kind = \"drag\"\n{DISC}\
+         [[variables]]\nnumber = \"shapes[0].radius\"\nlower = 0.2\nupper = 0.6\n\
+         [[variables]]\nnumber = \"shapes[0].parameters[0]\"\nlower = 0.0\nupper = 3.0\n"
+    );
+    for pressure in ["weakly-compressible", "incompressible"] {
+        let around = AroundShapes::new(&config(&text, &[&format!("method.pressure={pressure}")])).unwrap();
+        let first = around.first();
+        let (history, _) = around.march(&first, None, &mut |_, _| Ok(())).unwrap();
+        // Four fields of eight bytes.
+        let steps = history.sizes.len();
+        assert!(steps > 8, "{steps} steps are too few for segments");
+        let state = 8 * 4 * around.particles();
+        let [all, some, least] = [100 * steps * state, 3 * steps * state, 0].map(|memory| {
+            let found = around.march_gradient_within(&first, &history, Of::Objective, memory).unwrap();
+            found.by_variables
+        });
+        assert!(all.len() == 2 && all.iter().all(|by| by.abs() > 1e-6), "{all:?}");
+        assert!(all == some && all == least, "{pressure}: {all:?} {some:?} {least:?}");
     }
 }
 

@@ -226,7 +226,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         Ok(factorisations)
     }
 
-    /// See [`Around::march_gradient`]. `memory`: bytes for states; with fewer more of them are made again.
+    /// See [`Around::march_gradient_within`].
     ///
     /// # Errors
     /// As there.
@@ -297,6 +297,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
                 boundary: &boundary,
                 first: (at_first.0, &at_first.1),
                 sizes: &sizes[count..],
+                memory,
                 velocity: self.config().fluid.reference_velocity,
                 by_positions: self.wanted().iter().any(|number| !self.cloud().is_parameter(*number)),
             };

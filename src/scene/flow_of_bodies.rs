@@ -22,7 +22,6 @@ use crate::sph::cloud::space::march::March;
 use crate::sph::cloud::space::particles::{Cloud, Shaped};
 use crate::sph::cloud::space::problem::Solution;
 use crate::sph::cloud::steady::Held;
-use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::sync::Arc;
 
@@ -65,8 +64,14 @@ impl Around for AroundBodies {
         self.go(variables, sizes, watch)
     }
 
-    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
-        self.go_back(variables, history, of, MEMORY)
+    fn march_gradient_within(
+        &self,
+        variables: &[f64],
+        history: &History,
+        of: Of<'_>,
+        memory: usize,
+    ) -> Result<Derivative, Error> {
+        self.go_back(variables, history, of, memory)
     }
 
     fn measured(&self, solution: &Solution, figure: Figure) -> f64 {
@@ -166,10 +171,7 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
             inside: cloud.places.inside,
             spacing: &cloud.places.spacing,
             conditions: &shaped.conditions,
-            viscosity: cloud.fluid.viscosity,
-            diffusivity: cloud.fluid.diffusivity,
-            force: cloud.fluid.force,
-            buoyancy: cloud.fluid.buoyancy,
+            fluid: cloud.fluid,
             sound: self.config().sound_speed(),
             threads: threads::count(),
             by_pairs: Fits::<3>::pull_back_pairs,

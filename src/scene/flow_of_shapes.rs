@@ -20,7 +20,6 @@ use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
 use crate::sph::cloud::sound::Medium;
 use crate::sph::cloud::steady::Held;
-use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -68,8 +67,14 @@ impl Around for AroundShapes {
         self.go(variables, sizes, watch)
     }
 
-    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
-        self.go_back(variables, history, of, MEMORY)
+    fn march_gradient_within(
+        &self,
+        variables: &[f64],
+        history: &History,
+        of: Of<'_>,
+        memory: usize,
+    ) -> Result<Derivative, Error> {
+        self.go_back(variables, history, of, memory)
     }
 
     fn velocity_on_grid(&self, solution: &Solution) -> Option<Vec<f64>> {
@@ -176,10 +181,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
             inside: cloud.places.inside,
             spacing: &cloud.places.spacing,
             conditions: &shaped.conditions,
-            viscosity: cloud.fluid.viscosity,
-            diffusivity: cloud.fluid.diffusivity,
-            force: cloud.fluid.force,
-            buoyancy: cloud.fluid.buoyancy,
+            fluid: cloud.fluid,
             sound: self.config().sound_speed(),
             threads: threads::count(),
             by_pairs: Fits::<2>::pull_back_pairs,

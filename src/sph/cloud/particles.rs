@@ -31,10 +31,10 @@ pub trait Surroundings: Debug + Send + Sync {
 
 /// Materials and forces of a flow.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fluid {
+pub struct Fluid<const D: usize = 2> {
     pub viscosity: f64,
     pub diffusivity: Option<f64>,
-    pub force: [f64; 2],
+    pub force: [f64; D],
     pub buoyancy: Option<Buoyancy>,
     /// A typical velocity, for the pressure's damping.
     pub velocity: f64,

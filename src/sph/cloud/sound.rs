@@ -34,13 +34,13 @@ use super::equations::{Condition, Motion, State, Warmth};
 use super::fit::{blocks, field, Coefficients};
 use super::fit_adjoint::PairCotangents;
 use super::fits::Fits;
+use super::particles::Fluid;
 use super::steady::NoSteadyState;
 use super::unsteady::{Control, InTime};
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::quadratic;
-use crate::sph::laws::buoyancy::Buoyancy;
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -77,10 +77,7 @@ pub struct Medium<'a, const D: usize, const C: usize> {
     pub spacing: &'a [f64],
     /// What holds on the boundary at the start; of what kind it is does not change.
     pub conditions: &'a [Condition<D>],
-    pub viscosity: f64,
-    pub diffusivity: Option<f64>,
-    pub force: [f64; D],
-    pub buoyancy: Option<Buoyancy>,
+    pub fluid: Fluid<D>,
     /// The speed of sound.
     pub sound: f64,
     pub threads: usize,
@@ -173,7 +170,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
 
     /// The largest modulus of the rates at which disturbances of a fluid at rest change, by von Mises' iteration.
     fn fastest_rate(&mut self) -> f64 {
-        let (force, buoyancy) = (std::mem::replace(&mut self.medium.force, [0.0; D]), self.medium.buoyancy.take());
+        let (force, buoyancy) =
+            (std::mem::replace(&mut self.medium.fluid.force, [0.0; D]), self.medium.fluid.buoyancy.take());
         let zero = |condition: &Condition<D>| Condition {
             motion: match condition.motion {
                 Motion::Given(_) => Motion::Given([0.0; D]),
@@ -213,7 +211,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             run_parts(&kernel, sum.chunks_exact_mut(width).zip(next[..count].chunks_exact_mut(width)));
             y[..count].copy_from_slice(&sum);
         }
-        (self.medium.force, self.medium.buoyancy) = (force, buoyancy);
+        (self.medium.fluid.force, self.medium.fluid.buoyancy) = (force, buoyancy);
         rate.powf(1.0 / (ITERATIONS - 1 - ITERATIONS / 2) as f64)
     }
 
@@ -222,7 +220,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     }
 
     pub(super) fn has_heat(&self) -> bool {
-        self.medium.diffusivity.is_some()
+        self.medium.fluid.diffusivity.is_some()
     }
 
     /// Which neighbours of a point are on the boundary, as points.
@@ -315,8 +313,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         let (medium, own) = (&self.medium, |f: usize| y[field(F, i, f)]);
         std::array::from_fn(|e| {
             let carried: f64 = (0..D).map(|d| own(d) * of[e][d]).sum();
-            let lift = medium.buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, own(D + 1)));
-            medium.viscosity * of[e][D] + medium.force[e] + lift - carried - acceleration[e]
+            let lift = medium.fluid.buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, own(D + 1)));
+            medium.fluid.viscosity * of[e][D] + medium.fluid.force[e] + lift - carried - acceleration[e]
         })
     }
 
@@ -380,7 +378,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
                 let sums = self.sums(y, i, f);
                 let of_others: f64 = weights.iter().zip(&sums).map(|(weight, sum)| weight * sum).sum();
                 let wanted = match (f, condition.warmth) {
-                    (f, Warmth::Flux(flux)) if f > D => -flux / self.medium.diffusivity.unwrap_or(1.0),
+                    (f, Warmth::Flux(flux)) if f > D => -flux / self.medium.fluid.diffusivity.unwrap_or(1.0),
                     (f, _) if f == D => {
                         let of: [[f64; F]; D] = std::array::from_fn(|e| self.sums(y, i, e));
                         let unbalanced = self.unbalanced(y, i, &of, walls.acceleration[k]);
@@ -522,7 +520,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rat
     fn part<L: Lanes<Real = f64>>(&self, block: usize, (sum, next): &mut Self::Part) {
         let WithSound { medium, table, list, damping, .. } = self.flow;
         let stencils = &medium.fits.all;
-        let fields = if medium.diffusivity.is_some() { F } else { F - 1 };
+        let fields = if medium.fluid.diffusivity.is_some() { F } else { F - 1 };
         let (first, count) = (stencils.row(block * WIDEST, 0), stencils.count(block * WIDEST));
         let square = L::splat(medium.sound * medium.sound);
         for l in (0..WIDEST).step_by(L::COUNT) {
@@ -543,15 +541,15 @@ impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rat
             }
             let mut rate = [L::zero(); F];
             for f in (0..fields).filter(|f| *f != D) {
-                let factor = if f < D { medium.viscosity } else { medium.diffusivity.unwrap_or(0.0) };
+                let factor = if f < D { medium.fluid.viscosity } else { medium.fluid.diffusivity.unwrap_or(0.0) };
                 rate[f] = L::splat(factor) * second[f];
                 (0..D).for_each(|d| rate[f] = rate[f] - own[d] * slope[f][d]);
             }
             let mut divergence = L::zero();
             for e in 0..D {
                 divergence += slope[e][e];
-                rate[e] = rate[e] + L::splat(medium.force[e]) - slope[D][e];
-                if let Some(buoyancy) = medium.buoyancy {
+                rate[e] = rate[e] + L::splat(medium.fluid.force[e]) - slope[D][e];
+                if let Some(buoyancy) = medium.fluid.buoyancy {
                     rate[e] += L::splat(buoyancy.by[e]) * (own[D + 1] - L::splat(buoyancy.at));
                 }
             }

@@ -7,14 +7,15 @@
 //!   A^T mu = x_bar,   b_bar = mu,   A_bar = -mu x^T.
 //! ```
 //!
-//! States are kept at the beginnings of segments of steps, about the square root of their number; within a step those of all stages are.
+//! The states of all stages are kept where they have room in the memory given; else those at the beginnings of segments of steps, within
+//! each of which stages are made again, but for the last one.
 
 use super::equations::{Bar, Motion, State, Warmth};
 use super::fit::{blocks, field};
 use super::fit_adjoint::PairCotangents;
 use super::sound::{WithSound, STAGES, START};
 use super::unsteady::InTime;
-use super::unsteady_adjoint::Cotangents;
+use super::unsteady_adjoint::{segments, Cotangents};
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::quadratic;
@@ -26,6 +27,8 @@ pub struct Heard<'a, const D: usize, const F: usize, const C: usize> {
     /// When it begins, and with what.
     pub first: (f64, &'a State<F>),
     pub sizes: &'a [f64],
+    /// Bytes for states.
+    pub memory: usize,
     /// The velocity that parts of steps were chosen for.
     pub velocity: f64,
     /// Whether positions move with the numbers that are wanted.
@@ -134,7 +137,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                 }
                 match condition.warmth {
                     Warmth::Flux(_) if f > D => {
-                        found.bar.boundary[k].temperature -= mu / medium.diffusivity.unwrap_or(1.0);
+                        found.bar.boundary[k].temperature -= mu / medium.fluid.diffusivity.unwrap_or(1.0);
                     }
                     _ => {}
                 }
@@ -145,13 +148,13 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                         let rho = mu * condition.normal[e];
                         found.bar.boundary[k].normal[e] += mu * unbalanced[e];
                         found.all.bar.viscosity += of[e][D] * rho;
-                        weights[e][D] += medium.viscosity * rho;
+                        weights[e][D] += medium.fluid.viscosity * rho;
                         acceleration_bar[k][e] -= rho;
                         for d in 0..D {
                             weights[e][d] -= y[field(F, i, d)] * rho;
                             y_bar[field(F, i, d)] -= of[e][d] * rho;
                         }
-                        if let Some(buoyancy) = medium.buoyancy {
+                        if let Some(buoyancy) = medium.fluid.buoyancy {
                             y_bar[field(F, i, D + 1)] += buoyancy.by[e] * rho;
                         }
                     }
@@ -260,42 +263,50 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
             bar: Bar::new(n, points),
         };
         let mut of_figures = PairCotangents::zeros(stencils);
-        let length = (steps as f64).sqrt().ceil().max(1.0) as usize;
-        let go = |y: Vec<f64>, k: usize, look: &mut dyn FnMut(&[f64])| {
-            flow.step(y, (times[k], self.sizes[k]), self.velocity, self.boundary, look)
+        // Keeps the filled fields of all stages, if it is asked to.
+        let go = |mut y: Vec<f64>, (from, to): (usize, usize), stages: &mut Vec<Vec<f64>>, keep: bool| {
+            for k in from..to {
+                let mut look = |y: &[f64]| {
+                    if keep {
+                        stages.push(y.to_vec());
+                    }
+                };
+                y = flow.step(y, (times[k], self.sizes[k]), self.velocity, self.boundary, &mut look);
+            }
+            y
         };
         let at_start = (times[0], START * flow.largest_step(self.velocity));
         let mut y = flow.packed(self.first.1);
         flow.fill(&mut y, &flow.walls(self.boundary, at_start.0, at_start.1));
         let filled_first = y.clone();
-        let mut starts = vec![];
-        for k in 0..steps {
-            if k % length == 0 {
-                starts.push(y.clone());
-            }
-            y = go(y, k, &mut |_| {});
+        let parts: Vec<usize> = self.sizes.iter().map(|&size| flow.parts(size, self.velocity)).collect();
+        let most_parts = parts.iter().copied().max().unwrap_or(1);
+        let segments = segments(steps, self.memory / size_of_val(y.as_slice()), 1, STAGES.len() * most_parts);
+        // The states that segments begin with, and those of all stages of the last one.
+        let (mut starts, mut stages) = (vec![], vec![]);
+        for (k, &segment) in segments.iter().enumerate() {
+            starts.push(y.clone());
+            y = go(y, segment, &mut stages, k + 1 == segments.len());
         }
-        let mut y_bar = vec![0.0; y.len()];
-        for (segment, start) in starts.into_iter().enumerate().rev() {
-            let (from, to) = (segment * length, ((segment + 1) * length).min(steps));
-            let mut states = vec![start];
-            for k in from..to {
-                let next = go(states[k - from].clone(), k, &mut |_| {});
-                states.push(next);
+        stages.push(y);
+        let mut y_bar = vec![0.0; filled_first.len()];
+        for (&(from, to), start) in segments.iter().zip(starts).rev() {
+            if stages.is_empty() {
+                let end = go(start, (from, to), &mut stages, true);
+                stages.push(end);
             }
             for k in (from..to).rev() {
-                self.add_figures(flow, (k, &states[k - from + 1]), figures, &mut y_bar, &mut of_figures, &mut found);
-                let mut stages = vec![];
-                let end = go(states[k - from].clone(), k, &mut |y| stages.push(y.to_vec()));
-                stages.push(end);
-                let parts = stages.len() / STAGES.len();
-                let dt = self.sizes[k] / parts as f64;
-                for part in (0..parts).rev() {
-                    let own = &stages[part * STAGES.len()..=(part + 1) * STAGES.len()];
+                let end = stages.len() - 1;
+                self.add_figures(flow, (k, &stages[end]), figures, &mut y_bar, &mut of_figures, &mut found);
+                let dt = self.sizes[k] / parts[k] as f64;
+                for part in (0..parts[k]).rev() {
                     let time = times[k] + part as f64 * dt;
-                    y_bar = flow.advance_back(own, (time, dt), self.boundary, y_bar, &mut found);
+                    let first = stages.len() - 1 - STAGES.len();
+                    y_bar = flow.advance_back(&stages[first..], (time, dt), self.boundary, y_bar, &mut found);
+                    stages.truncate(first + 1);
                 }
             }
+            stages.clear();
         }
         flow.fill_back(&filled_first, at_start, self.boundary, &mut y_bar, &mut found);
         let Found { pairs, mut all, .. } = found;
@@ -372,7 +383,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rat
     fn part<L: Lanes<Real = f64>>(&self, _: usize, (part, pairs): &mut Self::Part) {
         let WithSound { medium, table, list, damping, .. } = self.flow;
         let (stencils, y) = (&medium.fits.all, self.y);
-        let fields = if medium.diffusivity.is_some() { F } else { F - 1 };
+        let fields = if medium.fluid.diffusivity.is_some() { F } else { F - 1 };
         let start = stencils.row(part.blocks.start * WIDEST, 0);
         for block in part.blocks.clone() {
             let (first, count) = (stencils.row(block * WIDEST, 0), stencils.count(block * WIDEST));
@@ -399,7 +410,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rat
                 let (mut weights, mut own_bar) = ([[L::zero(); F]; F], [L::zero(); F]);
                 let mut viscosity = L::zero();
                 for f in (0..fields).filter(|f| *f != D) {
-                    let factor = if f < D { medium.viscosity } else { medium.diffusivity.unwrap_or(0.0) };
+                    let factor = if f < D { medium.fluid.viscosity } else { medium.fluid.diffusivity.unwrap_or(0.0) };
                     weights[f][D] = L::splat(factor) * rho[f];
                     for d in 0..D {
                         weights[f][d] = -(own[d] * rho[f]);
@@ -410,7 +421,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rat
                     viscosity += sums[e][D] * rho[e];
                     weights[D][e] = -rho[e];
                     weights[e][e] = weights[e][e] - L::splat(medium.sound * medium.sound) * rho[D];
-                    if let Some(buoyancy) = medium.buoyancy {
+                    if let Some(buoyancy) = medium.fluid.buoyancy {
                         own_bar[D + 1] += L::splat(buoyancy.by[e]) * rho[e];
                     }
                 }

@@ -19,13 +19,13 @@ use super::unsteady::{InTime, Level, Scheme, Step};
 /// Bytes that the states of a run may take.
 pub const MEMORY: usize = 500_000_000;
 
-/// The segments of `steps` steps, the first one with what is left over: as long as room for `most` states, two of them at the
-/// beginning of each, allows.
-fn segments(steps: usize, most: usize) -> Vec<(usize, usize)> {
-    let (most, steps_within) = (most as f64, 2.0 * steps as f64);
-    // The larger of the two lengths for which length + 2 steps / length is `most`; the least memory has sqrt(2 steps).
-    let longest = 0.5 * (most + (most * most - 4.0 * steps_within).max(0.0).sqrt());
-    let length = (longest.max(steps_within.sqrt()) as usize).clamp(1, steps.max(1));
+/// The segments of `steps` steps, the first one with what is left over: as long as room for `most` states allows, where one takes `begin` of
+/// them from its beginning on, and each step of the one that is gone through takes `step`.
+pub(super) fn segments(steps: usize, most: usize, begin: usize, step: usize) -> Vec<(usize, usize)> {
+    let (most, begin, step) = (most as f64, (begin * steps) as f64, step as f64);
+    // The larger of the two lengths for which step length + begin / length is `most`; the least memory has sqrt(begin / step).
+    let longest = 0.5 * (most + (most * most - 4.0 * begin * step).max(0.0).sqrt()) / step;
+    let length = (longest.max((begin / step).sqrt()) as usize).clamp(1, steps.max(1));
     let first = (steps + length - 1) % length + 1;
     let later = (first..steps).step_by(length).map(|from| (from, from + length));
     (steps > 0).then_some((0, first)).into_iter().chain(later).collect()
@@ -122,7 +122,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         });
         let usual = self.boundary.conditions(0.0);
         let bytes = size_of::<f64>() * F * (n + inside);
-        let parts = segments(steps, self.memory / bytes.max(1));
+        let parts = segments(steps, self.memory / bytes.max(1), 2, 1);
         // The states that segments begin with and those before them, and all levels of the last one.
         let mut starts = vec![[Level::none(), march.level(self.first.clone())]];
         let mut levels = vec![];

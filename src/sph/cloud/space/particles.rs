@@ -8,14 +8,13 @@ use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::fits::Fits;
 use super::super::nearest::{Nearest, Region};
 use super::super::outline::Dual;
-use super::super::particles::Unusable;
+use super::super::particles::{Fluid, Unusable};
 use super::equations::{Bar, Condition, Equations, Motion};
 use super::fits::{fits, Where};
 use super::placing::{BoundaryPoint, Ground, Places};
 use super::scalar::Scalar;
 use super::surface::OnSurface;
 use crate::sph::consistent::stencil::quadratic;
-use crate::sph::laws::buoyancy::Buoyancy;
 use std::fmt::Debug;
 use std::sync::Arc;
 
@@ -35,23 +34,12 @@ pub trait Surroundings: Debug + Send + Sync {
     }
 }
 
-/// Materials and forces of a flow.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fluid {
-    pub viscosity: f64,
-    pub diffusivity: Option<f64>,
-    pub force: [f64; 3],
-    pub buoyancy: Option<Buoyancy>,
-    /// A typical velocity, for the pressure's damping.
-    pub velocity: f64,
-}
-
 /// The reference cloud: places, stencils and map.
 #[derive(Debug)]
 pub struct Cloud {
     pub ground: Ground,
     pub places: Places,
-    pub fluid: Fluid,
+    pub fluid: Fluid<3>,
     pub fits: Arc<Fits<3>>,
     pub surroundings: Arc<dyn Surroundings>,
     /// Middle of the points of each shape.
@@ -85,7 +73,7 @@ impl Cloud {
     /// Shapes that cannot be resolved.
     pub fn new(
         ground: Ground,
-        fluid: Fluid,
+        fluid: Fluid<3>,
         surroundings: Arc<dyn Surroundings>,
         threads: usize,
     ) -> Result<Self, Unusable<3>> {
