@@ -194,6 +194,8 @@ fn what_cannot_be_is_refused() {
     for (set, expected) in [
         ("fluid.drive=flow-rate", vec!["fluid.drive", "weakly-compressible", "body-force"]),
         ("method.pressure=none", vec!["pressure", "incompressible"]),
+        ("method.flow=steady", vec!["method.pressure", "weakly-compressible", "method.flow=unsteady"]),
+        ("region.periodic=[true, true]", vec!["method.pressure", "not all periodic"]),
     ] {
         let arguments = ["simulate", "scene.toml", "--set", set];
         refused(&arguments, &hydrograd(folder.path(), &arguments), &expected);

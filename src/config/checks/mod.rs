@@ -9,6 +9,7 @@ mod tank;
 use crate::config::builtin::SCENES;
 use crate::config::custom::{ShapeEntry, Side, Sides, VariableEntry};
 use crate::config::formula::Formula;
+use crate::config::method::fixed::PressureKind;
 use crate::config::method::kind::Facts;
 use crate::config::method::Method;
 use crate::config::range::{Number, Range};
@@ -203,6 +204,14 @@ impl Config {
             .allowed(methods.join(", ")));
         }
         self.method.check(matches!(self.scene, Family::HeatedChannel | Family::Slab))?;
+        let sound = matches!(self.method, Method::Fixed(fixed) if fixed.pressure == PressureKind::WeaklyCompressible);
+        if sound && !self.has_sound() {
+            let problem =
+                "method.pressure = weakly-compressible, which a flow in time around shapes can be, and this is none";
+            return Err(BadInput::at("method.pressure", problem)
+                .allowed("incompressible; weakly-compressible with method.flow = unsteady in a scene of your own that is not all periodic")
+                .advice("method.flow=unsteady, or method.pressure=incompressible"));
+        }
         if self.resolution.kernel == KernelName::SuperGaussian && !self.is_periodic() {
             let problem =
                 "resolution.kernel = super-gaussian with walls: it is negative in its outer part, and averages beside \
