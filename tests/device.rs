@@ -61,8 +61,9 @@ fn gap(found: &Answer, expected: &Answer) -> f64 {
     most(&mut found.iter().zip(&expected).map(|(a, b)| row((a, b))))
 }
 
-/// Two ways to compute the same thing agree to these in single and in double precision.
-const TOLERANCE: [f64; 2] = [1e-5, 1e-10];
+/// Two ways to compute the same thing agree to these in single and in double precision. (Three steps of the standard method over a curved
+/// wall leave 230 roundings between an H200 and the CPU, in the least of the components: 2.3e-5 and 5e-14. All else is within 4e-6.)
+const TOLERANCE: [f64; 2] = [5e-5, 1e-12];
 
 /// Whether all answers agree; what was compared is printed.
 fn compare<R: Sweeps>(found: &[Answer], expected: &[Answer]) {
