@@ -33,10 +33,6 @@ struct Places {
 /// What `index_select` makes 0 of, on every device.
 const NOWHERE: u32 = u32::MAX;
 
-/// Rows at least so wide are summed as products of matrices, at most so many.
-const WIDE: usize = 16;
-const MOST_PRODUCTS: usize = 65_535;
-
 /// Whether sums are taken by place on the CPU, too.
 static EVERYWHERE: AtomicBool = AtomicBool::new(false);
 
@@ -101,15 +97,8 @@ impl Places {
 
     /// See [`Gather::sums`]; without a graph.
     fn sums(&self, x: &Tensor, dim: usize) -> Result<Tensor> {
-        let (mut shape, found) = (x.dims().to_vec(), x.contiguous()?.index_select(&self.places, dim)?);
-        let (sums, columns) = (shape[..dim].iter().product::<usize>() * self.rows, shape[dim + 1..].iter().product());
-        if (WIDE..).contains(&columns) && sums <= MOST_PRODUCTS {
-            // A sum over a dimension takes a block of threads for each number; products of matrices share them out better.
-            let ones = Tensor::ones((sums, 1, self.most), x.dtype(), x.device())?;
-            shape[dim] = self.rows;
-            return ones.matmul(&found.reshape((sums, self.most, columns))?)?.reshape(shape);
-        }
+        let mut shape = x.dims().to_vec();
         shape.splice(dim..=dim, [self.rows, self.most]);
-        found.reshape(shape)?.sum(dim + 1)
+        x.contiguous()?.index_select(&self.places, dim)?.reshape(shape)?.sum(dim + 1)
     }
 }

@@ -16,7 +16,7 @@ use crate::numerics::random::stream;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::graph::{Ends, Graph};
-use crate::surrogate::network::layers::{embedded, on_device, Perceptron};
+use crate::surrogate::network::layers::{builder, embedded, on_device, Perceptron};
 use crate::surrogate::network::messages::Messages;
 use crate::surrogate::network::mlp::{Mlp, MlpShape};
 use crate::surrogate::network::parameters::{Network, Parameter};
@@ -228,8 +228,9 @@ impl Egnn {
         self.run(inputs, &ends, &Fused { sizes: &self.sizes, graph: &inputs.graph, parameters, memory })
     }
 
-    fn composed(&self, inputs: &Inputs, builder: VarBuilder<'static>) -> Result<Tensor> {
+    fn composed(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
         let ends = Ends::new(&inputs.graph, inputs.nodes.device())?;
+        let builder = builder(&self.parameters, parameters)?;
         self.run(inputs, &ends, &Composed { embedding: self.sizes.embedding, builder, ends: &ends })
     }
 }
@@ -243,11 +244,9 @@ impl Network for Egnn {
         match (self.compute.kernels(), self.dtype) {
             (Kernels::Fused, DType::F32) => self.fused(inputs, parameters, &self.single),
             (Kernels::Fused, _) => self.fused(inputs, parameters, &self.double),
-            (Kernels::Composed, _) => {
-                on_device(self.compute.device(), inputs, (&self.parameters, parameters), |inputs, builder| {
-                    self.composed(inputs, builder.clone())
-                })
-            }
+            (Kernels::Composed, _) => on_device(self.compute.device(), inputs, parameters, |inputs, parameters| {
+                self.composed(inputs, parameters)
+            }),
         }
     }
 }

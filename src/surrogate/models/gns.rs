@@ -10,7 +10,7 @@ use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::models::composed_gns::composed_gns;
 use crate::surrogate::models::sizes::Sizes;
 use crate::surrogate::network::interaction::{Rounds, Trace};
-use crate::surrogate::network::layers::on_device;
+use crate::surrogate::network::layers::{builder, on_device};
 use crate::surrogate::network::mlp::{Mlp, MlpShape};
 use crate::surrogate::network::parameters::{Network, Parameter};
 use candle_core::{DType, Result, Tensor};
@@ -85,11 +85,9 @@ impl Network for Gns {
     fn apply(&self, inputs: &Inputs, parameters: &[Tensor]) -> Result<Tensor> {
         match self.compute.kernels() {
             Kernels::Fused => self.apply_with(inputs, parameters, None),
-            Kernels::Composed => {
-                on_device(self.compute.device(), inputs, (&self.parameters, parameters), |inputs, builder| {
-                    composed_gns(&self.sizes, builder, inputs)
-                })
-            }
+            Kernels::Composed => on_device(self.compute.device(), inputs, parameters, |inputs, parameters| {
+                composed_gns(&self.sizes, &builder(&self.parameters, parameters)?, inputs)
+            }),
         }
     }
 }

@@ -1,13 +1,12 @@
 //! The parts of networks built from candle-nn's layers, which run on every device of candle. They are slow and
 //! readable, and the reference for the fused operators.
 
-use crate::numerics::candle::with_adjoint;
-use crate::numerics::gather::{sums_by_place, Gather};
+use crate::numerics::gather::Gather;
 use crate::surrogate::features::{Inputs, KINDS};
 use crate::surrogate::network::graph::Ends;
 use crate::surrogate::network::mlp::{MlpShape, EPSILON};
 use crate::surrogate::network::parameters::Parameter;
-use candle_core::{Device, Result, Tensor, Var};
+use candle_core::{Device, Result, Tensor};
 use candle_nn::{Embedding, LayerNorm, Linear, Module, VarBuilder};
 use std::collections::HashMap;
 
@@ -27,53 +26,25 @@ pub fn builder(parameters: &[Parameter], values: &[Tensor]) -> Result<VarBuilder
 
 /// Applies a network on a device and returns its output to the device of the inputs; gradients go the same way. The
 /// graph and the types of the particles are not moved.
-///
-/// Off the CPU all of this is one node of the caller's graph: what goes there is copied at once, and so are the gradients. (The
-/// derivative of a view is as large as what it is a view of, with zeros around it: hundreds of those take longer than the network.)
 pub fn on_device(
     device: &Device,
     inputs: &Inputs,
-    (parameters, values): (&[Parameter], &[Tensor]),
-    network: impl FnOnce(&Inputs, &VarBuilder<'static>) -> Result<Tensor>,
+    parameters: &[Tensor],
+    network: impl FnOnce(&Inputs, &[Tensor]) -> Result<Tensor>,
 ) -> Result<Tensor> {
     let here = inputs.nodes.device();
-    if device.same_device(here) && !sums_by_place(device) {
-        return network(inputs, &builder(parameters, values)?);
+    if device.same_device(here) {
+        return network(inputs, parameters);
     }
-    let of_inputs = [&inputs.nodes, &inputs.edges, &inputs.velocity.to_dtype(inputs.nodes.dtype())?];
-    let flat = of_inputs.into_iter().chain(values).map(Tensor::flatten_all).collect::<Result<Vec<_>>>()?;
-    let all = Tensor::cat(&flat, 0)?;
-    let (there, tracks) = (all.detach().to_device(device)?, all.track_op());
-    // The parts of `there`, in order; gradients are taken by them.
-    let (mut parts, mut end) = (Vec::new(), 0);
-    let mut part = |shape: &[usize]| {
-        let count = shape.iter().product();
-        let part = there.narrow(0, end, count)?.reshape(shape)?;
-        end += count;
-        parts.push(if tracks { Var::from_tensor(&part)?.into_inner() } else { part });
-        Ok::<_, candle_core::Error>(parts[parts.len() - 1].clone())
-    };
+    let there = |tensor: &Tensor| tensor.to_device(device);
     let inputs = Inputs {
-        nodes: part(inputs.nodes.dims())?,
-        edges: part(inputs.edges.dims())?,
-        velocity: part(inputs.velocity.dims())?,
+        nodes: there(&inputs.nodes)?,
+        edges: there(&inputs.edges)?,
+        velocity: there(&inputs.velocity)?,
         ..inputs.clone()
     };
-    let mut tensors = HashMap::new();
-    for (name, _, shape) in parameters.iter().flat_map(|parameter| &parameter.parts) {
-        tensors.insert(name.clone(), part(shape)?);
-    }
-    let output = network(&inputs, &VarBuilder::from_tensors(tensors, there.dtype(), device))?;
-    let value = output.detach().to_device(here)?;
-    let (device, here) = (device.clone(), here.clone());
-    with_adjoint(&all, value, move |bar| {
-        let gradients = (&output * bar.to_device(&device)?)?.sum_all()?.backward()?;
-        let of = |part: &Tensor| match gradients.get(part) {
-            Some(bar) => bar.flatten_all(),
-            None => part.zeros_like()?.flatten_all(),
-        };
-        Tensor::cat(&parts.iter().map(of).collect::<Result<Vec<_>>>()?, 0)?.to_device(&here)
-    })
+    let parameters = parameters.iter().map(there).collect::<Result<Vec<_>>>()?;
+    network(&inputs, &parameters)?.to_device(here)
 }
 
 /// Rows of an embedding by the particles' types, `[N, columns]`. The embedding may be on another device.
