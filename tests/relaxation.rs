@@ -6,9 +6,11 @@ use assert_cmd::Command;
 use candle_core::{Device, Tensor, Var};
 use hydrograd::dataset::metadata::ExternalForce;
 use hydrograd::dataset::Metadata;
+use hydrograd::io::tensor_file::{write_tensors, TensorFile};
 use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::surrogate::predictor::Scenery;
 use hydrograd::surrogate::relaxation::Relaxation;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 const DX: f64 = 0.1;
@@ -225,6 +227,28 @@ fn the_command_line_relaxes_and_sees_the_force() {
     assert_eq!(names, ["last, relaxed", "linear", "no change", "last"]);
     assert_ne!(scores[0]["mse"], scores[3]["mse"]);
     succeeds(inside, &[&["rollout", "--steps", "3", "--relax", "1", "--out", "rollout"][..], &model].concat());
+    // The same weights by LagrangeBench's names alone; which features they are of is in the file or cannot be told.
+    let mut weights = TensorFile::read(&inside.join("train/last.safetensors")).unwrap();
+    weights.tensors.retain(|name, _| name.starts_with("param."));
+    weights.metadata = BTreeMap::from([("noise_std".into(), "3e-4".into())]);
+    let mut write = |name: &str, features: Option<&str>| {
+        weights.metadata.remove("features");
+        weights.metadata.extend(features.map(|features| ("features".to_string(), features.to_string())));
+        write_tensors(&inside.join(name), &weights.tensors, &weights.metadata).unwrap();
+    };
+    write("named.safetensors", Some(r#"{"force": true}"#));
+    write("unnamed.safetensors", None);
+    write("wrong.safetensors", Some(r#"{"froce": true}"#));
+    let of =
+        |name| ["evaluate", "--steps", "5", "--model", name, "--data", "data", "--threads", "1", "--out", "unwritten"];
+    refuses(inside, &of("unnamed.safetensors"), &["node features do not belong to these data"]);
+    refuses(inside, &of("wrong.safetensors"), &["its `features`", "froce"]);
+    let mut named = of("named.safetensors");
+    named[10] = "named";
+    succeeds(inside, &named);
+    let file: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(inside.join("named/evaluation.json")).unwrap()).unwrap();
+    assert_eq!(file["scores"][0]["mse"], scores[3]["mse"]);
     let refused = [&["evaluate", "--relax-strength", "0.1", "--out", "unwritten"][..], &model].concat();
     let output = Command::cargo_bin("hydrograd").unwrap().current_dir(inside).args(refused).output().unwrap();
     assert_eq!(output.status.code(), Some(2));

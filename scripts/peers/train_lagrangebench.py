@@ -203,27 +203,10 @@ def weights(params, rounds, dim):
     return tensors
 
 
-def header(a, metadata, normalisation):
-    """What hydrograd reads beside the weights. It knows LagrangeBench's by their names and shapes, except with a force: then as a model of its own."""
-    known = {"noise_std": repr(a.noise), "step": str(a.steps), "origin": f"LagrangeBench 0.0.1, jax {jax.__version__}"}
-    if not a.force:
-        return known
-    dim = metadata["dim"]
-    periodic = metadata["periodic_boundary_conditions"][:dim]
-    features = {"frames": FRAMES, "speed": False, "boundary": not any(periodic), "unset_walls": False, "force": True}
-    node_features = dim * FRAMES + (0 if any(periodic) else 2 * dim)
-    setup = {
-        "kind": "gns", "features": features, "heat": "none", "periodic": periodic, "spacing": metadata["dx"], "frame": metadata["dt"] * metadata["write_every"],
-        "sizes": {"node_features": node_features, "edge_features": dim + 1, "outputs": dim, "latent": a.latent, "rounds": a.rounds, "linears": 2,
-                  "embedding": 16},
-        "normalisation": {f"{name}_{part}": np.asarray(values, dtype=float).tolist() for name, parts in normalisation.items()
-                          for part, values in (("mean", parts["mean"]), ("scale", parts["std"]))} | {"radius": metadata["default_connectivity_radius"]},
-        "data": metadata}
-    settings = [f"steps = {a.steps}", f"noise = {a.noise!r}", f"learning_rate = {a.learning_rate!r}", f"learning_rate_steps = {a.decay_steps}",
-                f"seed = {a.seed}", f"[model]\nlatent = {a.latent}\nrounds = {a.rounds}\nheat = \"none\"",
-                f"[features]\nboundary = {str(not any(periodic)).lower()}\nforce = true"]
-    return known | {"format": "hydrograd surrogate 1", "version": "0.3.0", "kind": "gns", "seconds": "0", "best": "inf", "losses": "[]",
-                    "settings": "\n".join(settings) + "\n", "setup": json.dumps(setup)}
+def header(a, metadata):
+    """What hydrograd reads beside the weights."""
+    features = {"speed": False, "boundary": not any(metadata["periodic_boundary_conditions"][:metadata["dim"]]), "force": a.force}
+    return {"noise_std": repr(a.noise), "features": json.dumps(features), "step": str(a.steps), "origin": f"LagrangeBench 0.0.1, jax {jax.__version__}"}
 
 
 def evaluate(model, case, test, params, state):
@@ -265,7 +248,7 @@ def main():
     compiling, updating = clock.seconds()
 
     a.out.parent.mkdir(parents=True, exist_ok=True)
-    save_file(weights(params, a.rounds, dim), a.out, header(a, metadata, case.normalization_stats))
+    save_file(weights(params, a.rounds, dim), a.out, header(a, metadata))
     later = clock.updates - 1
     print(f"lagrangebench 0.0.1, jax {jax.__version__}, {jax.devices()[0].device_kind}")
     print(f"compiling and the first update {compiling:.2f} s; {later} more updates {updating:.2f} s, {1e3 * updating / max(1, later):.3f} ms per update")

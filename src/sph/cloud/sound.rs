@@ -431,17 +431,19 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         let width = F * WIDEST;
         let count = blocks(self.medium.inside) * width;
         let (mut sum, mut now, mut next) = (vec![0.0; count], z.clone(), z.clone());
+        // Stages are in the middle and at the end.
+        let [middle, end] = [0.5, 1.0].map(|at| self.walls(boundary, time + at * dt, 0.5 * dt));
         for (s, (at, weight)) in STAGES.into_iter().enumerate() {
             if s > 0 {
                 std::mem::swap(&mut now, &mut next);
-                self.fill(&mut now, &self.walls(boundary, time + at * dt, 0.5 * dt));
+                self.fill(&mut now, if at < 1.0 { &middle } else { &end });
             }
             look(&now);
             let ahead = STAGES.get(s + 1).map(|(at, _)| at * dt);
             let kernel = Rates { flow: self, now: &now, start: &z, weight: weight * dt, ahead };
             run_parts(&kernel, sum.chunks_exact_mut(width).zip(next[..count].chunks_exact_mut(width)));
         }
-        self.fill(&mut next, &self.walls(boundary, time + dt, 0.5 * dt));
+        self.fill(&mut next, &end);
         next
     }
 

@@ -13,7 +13,7 @@
 use super::equations::{Bar, Motion, State, Warmth};
 use super::fit::{blocks, field};
 use super::fit_adjoint::PairCotangents;
-use super::sound::{WithSound, STAGES, START};
+use super::sound::{Walls, WithSound, STAGES, START};
 use super::unsteady::InTime;
 use super::unsteady_adjoint::{segments, Cotangents};
 use crate::numerics::lanes::{Lanes, WIDEST};
@@ -105,13 +105,12 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         &self,
         y: &[f64],
         (time, step): (f64, f64),
-        boundary: &dyn InTime<D, F, C>,
+        (boundary, walls): (&dyn InTime<D, F, C>, &Walls<'_, D>),
         y_bar: &mut [f64],
         found: &mut Found<D, F, C>,
     ) {
         let (medium, inside) = (&self.medium, self.medium.inside);
         let points = medium.conditions.len();
-        let walls = self.walls(boundary, time, step);
         let mut acceleration_bar = vec![[0.0; D]; points];
         let before = self.has_heat().then_some(D + 1).into_iter().chain(0..D);
         for f in [D].into_iter().chain(before) {
@@ -216,7 +215,8 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         found: &mut Found<D, F, C>,
     ) -> Vec<f64> {
         let step = 0.5 * dt;
-        self.fill_back(&states[STAGES.len()], (time + dt, step), boundary, &mut after, found);
+        let [middle, end] = [0.5, 1.0].map(|at| self.walls(boundary, time + at * dt, step));
+        self.fill_back(&states[STAGES.len()], (time + dt, step), (boundary, &end), &mut after, found);
         let count = blocks(self.medium.inside) * F * WIDEST;
         // z+ = z + sum of weighted rates; behind the last stage no other begins with its rates.
         let mut before = after.clone();
@@ -229,7 +229,8 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
             let mut own = vec![0.0; after.len()];
             self.rates_back(&states[s], &rate_bar, &mut own, found);
             if s > 0 {
-                self.fill_back(&states[s], (time + at * dt, step), boundary, &mut own, found);
+                let walls = if at < 1.0 { &middle } else { &end };
+                self.fill_back(&states[s], (time + at * dt, step), (boundary, walls), &mut own, found);
             }
             before.iter_mut().zip(&own).for_each(|(to, from)| *to += from);
             of_next = Some((at * dt, own));
@@ -277,7 +278,8 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         };
         let at_start = (times[0], START * flow.largest_step(self.velocity));
         let mut y = flow.packed(self.first.1);
-        flow.fill(&mut y, &flow.walls(self.boundary, at_start.0, at_start.1));
+        let walls = flow.walls(self.boundary, at_start.0, at_start.1);
+        flow.fill(&mut y, &walls);
         let filled_first = y.clone();
         let parts: Vec<usize> = self.sizes.iter().map(|&size| flow.parts(size, self.velocity)).collect();
         let most_parts = parts.iter().copied().max().unwrap_or(1);
@@ -308,7 +310,7 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
             }
             stages.clear();
         }
-        flow.fill_back(&filled_first, at_start, self.boundary, &mut y_bar, &mut found);
+        flow.fill_back(&filled_first, at_start, (self.boundary, &walls), &mut y_bar, &mut found);
         let Found { pairs, mut all, .. } = found;
         all.start = flow.unpacked(&y_bar).fields;
         // The Laplacian is a sum of second derivatives.

@@ -21,7 +21,7 @@ const ALLOWED: &str =
 
 /// The model in a file, or the baseline `linear` or `still`.
 ///
-/// Our files include their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`) are
+/// Our files include their normalisation. Weights of LagrangeBench's GNS (tensors `param.*`, metadata `noise_std`, `features`) are
 /// normalised by the data set's metadata. `compute`: kernels and device of the network.
 ///
 /// # Errors
@@ -119,7 +119,8 @@ fn learned(
     Ok(Learned::new(name, header.setup, Arc::from(network)))
 }
 
-/// The setup of LagrangeBench's weights, derived from the shapes of its tensors.
+/// The setup of LagrangeBench's weights, derived from the shapes of its tensors, and from the features that its metadata names
+/// (`features`, as JSON) where their number does not tell: an external force has as many columns as a pair of open ends.
 fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
     let side = |name: &str, k: usize| -> Result<usize, String> {
         let shape = file.shape(name).map_err(|error| error.to_string())?;
@@ -130,12 +131,19 @@ fn foreign(file: &TensorFile, metadata: &Metadata) -> Result<Setup, String> {
     let rounds = (0..).take_while(|k| has(&format!("param.proc.{k}.edge.0.weight"))).count();
     let embedding = side("param.embed.weight", 1)?;
     let node_features = side("param.enc.node.0.weight", 0)?.saturating_sub(embedding);
-    let choices = [(false, false), (false, true), (true, false), (true, true)];
+    let choices = match file.metadata.get("features") {
+        Some(text) => vec![serde_json::from_str(text).map_err(|error| format!("its `features`: {error}"))?],
+        None => [(false, false), (false, true), (true, false), (true, true)]
+            .map(|(speed, boundary)| Features { speed, boundary, ..Features::default() })
+            .to_vec(),
+    };
     let features = choices
-        .map(|(speed, boundary)| Features { speed, boundary, ..Features::default() })
         .into_iter()
         .find(|features| features.count(metadata, false, 0) == node_features)
         .ok_or_else(|| format!("{node_features} node features do not belong to these data"))?;
+    if features.force && metadata.external_force().is_none() {
+        return Err("the external force is one of its features, and the data have none".to_owned());
+    }
     let sizes = Sizes {
         node_features,
         edge_features: side("param.enc.edge.0.weight", 0)?,
