@@ -208,9 +208,10 @@ impl Config {
         if sound && !self.has_sound() {
             let problem =
                 "method.pressure = weakly-compressible, which a flow in time around shapes can be, and this is none";
+            let can_be = self.is_around_shapes() && !self.is_periodic_box();
             return Err(BadInput::at("method.pressure", problem)
                 .allowed("incompressible; weakly-compressible with method.flow = unsteady in a scene of your own that is not all periodic")
-                .advice("method.flow=unsteady, or method.pressure=incompressible"));
+                .advice(format!("{}method.pressure=incompressible", if can_be { "method.flow=unsteady, or " } else { "" })));
         }
         if self.resolution.kernel == KernelName::SuperGaussian && !self.is_periodic() {
             let problem =
