@@ -51,6 +51,12 @@ pub struct Stated {
     pub reference_velocity: f64,
 }
 
+/// Wave numbers pi n, and what is left of their modes after a time, exp(-(pi n)^2 nu t): those of which enough is left to count.
+fn modes(n: impl Iterator<Item = u32>, diffused: f64) -> impl Iterator<Item = (f64, f64)> {
+    let all = n.map(|n| PI * f64::from(n)).map(move |k| (k, (-k * k * diffused).exp()));
+    all.take_while(|(_, left)| *left > 1e-17)
+}
+
 impl Exact {
     /// The velocity at a point, if it is known.
     pub fn velocity(&self, position: [f64; 3], time: f64) -> Option<[f64; 3]> {
@@ -63,12 +69,9 @@ impl Exact {
             }
             Self::Poiseuille { velocity, kinematic_viscosity } => {
                 // In terms of the steady centre line U, u = 4 U y (1 - y) - sum over odd k of 32 U/(pi k)^3 ...
-                let mut u = 4.0 * velocity * y * (1.0 - y);
-                for k in (1..200).step_by(2).map(|k| PI * k as f64) {
-                    let decay = (-k * k * kinematic_viscosity * time).exp();
-                    u -= 32.0 * velocity / (k * k * k) * (k * y).sin() * decay;
-                }
-                Some([u, 0.0, 0.0])
+                let left = modes((1..200).step_by(2), kinematic_viscosity * time);
+                let transient: f64 = left.map(|(k, decay)| 32.0 / (k * k * k) * (k * y).sin() * decay).sum();
+                Some([velocity * (4.0 * y * (1.0 - y) - transient), 0.0, 0.0])
             }
             Self::ReversePoiseuille { velocity, kinematic_viscosity } => {
                 let half = Self::Poiseuille { velocity, kinematic_viscosity };
@@ -79,14 +82,10 @@ impl Exact {
                 }
             }
             Self::Couette { velocity, kinematic_viscosity } if time > 0.0 => {
-                let mut u = velocity * y;
-                for n in 1..200 {
-                    let k = PI * n as f64;
-                    let decay = (-k * k * kinematic_viscosity * time).exp();
-                    let sign = if n % 2 == 0 { 1.0 } else { -1.0 };
-                    u += sign * 2.0 * velocity / k * (k * y).sin() * decay;
-                }
-                Some([u, 0.0, 0.0])
+                // (-1)^n sin(pi n y) is sin(pi n (y - 1)).
+                let left = modes(1..200, kinematic_viscosity * time);
+                let transient: f64 = left.map(|(k, decay)| 2.0 / k * (k * (y - 1.0)).sin() * decay).sum();
+                Some([velocity * (y + transient), 0.0, 0.0])
             }
             // The series does not converge at the start.
             Self::Couette { .. } | Self::Slab(_) => Some([0.0; 3]),
