@@ -144,12 +144,14 @@ fn the_gradient_is_the_same_in_any_memory() {
         let steps = history.sizes.len();
         assert!(steps > 8, "{steps} steps are too few for segments");
         let state = 8 * 4 * around.particles();
-        let [all, some, least] = [100 * steps * state, 3 * steps * state, 0].map(|memory| {
+        // Of all stages, of those of some steps, of some states, and of none.
+        let [all, some, few, least] = [100 * steps, 3 * steps, steps / 3, 0].map(|states| {
+            let memory = states * state;
             let found = around.march_gradient_within(&first, &history, Of::Objective, memory).unwrap();
             found.by_variables
         });
         assert!(all.len() == 2 && all.iter().all(|by| by.abs() > 1e-6), "{all:?}");
-        assert!(all == some && all == least, "{pressure}: {all:?} {some:?} {least:?}");
+        assert!(all == some && all == few && all == least, "{pressure}: {all:?} {some:?} {few:?} {least:?}");
     }
 }
 

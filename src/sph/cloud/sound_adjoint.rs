@@ -8,7 +8,8 @@
 //! ```
 //!
 //! The states of all stages are kept where they have room in the memory given; else those at the beginnings of segments of steps, within
-//! each of which stages are made again, but for the last one.
+//! each of which stages are made again, but for the last one. Where not even that has room, states of steps are made again within segments,
+//! and stages within each step.
 
 use super::equations::{Bar, Motion, State, Warmth};
 use super::fit::{blocks, field};
@@ -283,32 +284,44 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         let filled_first = y.clone();
         let parts: Vec<usize> = self.sizes.iter().map(|&size| flow.parts(size, self.velocity)).collect();
         let most_parts = parts.iter().copied().max().unwrap_or(1);
-        let segments = segments(steps, self.memory / size_of_val(y.as_slice()), 1, STAGES.len() * most_parts);
+        let (most, of_step) = (self.memory / size_of_val(y.as_slice()), STAGES.len() * most_parts);
+        // Whether stages of whole segments have room.
+        let at_once = (most * most) as f64 >= 4.0 * (steps * of_step) as f64;
+        let segments = segments(steps, most, 1, if at_once { of_step } else { 1 });
         // The states that segments begin with, and those of all stages of the last one.
         let (mut starts, mut stages) = (vec![], vec![]);
         for (k, &segment) in segments.iter().enumerate() {
             starts.push(y.clone());
-            y = go(y, segment, &mut stages, k + 1 == segments.len());
+            y = go(y, segment, &mut stages, at_once && k + 1 == segments.len());
         }
-        stages.push(y);
+        stages.extend(at_once.then_some(y));
         let mut y_bar = vec![0.0; filled_first.len()];
         for (&(from, to), start) in segments.iter().zip(starts).rev() {
-            if stages.is_empty() {
-                let end = go(start, (from, to), &mut stages, true);
-                stages.push(end);
+            // Steps whose stages are kept together, and the states that these begin with.
+            let spans = if at_once { vec![(from, to)] } else { (from..to).map(|k| (k, k + 1)).collect() };
+            let mut begins = vec![start];
+            for &span in &spans[1..] {
+                let begin = begins[begins.len() - 1].clone();
+                begins.push(go(begin, (span.0 - 1, span.0), &mut stages, false));
             }
-            for k in (from..to).rev() {
-                let end = stages.len() - 1;
-                self.add_figures(flow, (k, &stages[end]), figures, &mut y_bar, &mut of_figures, &mut found);
-                let dt = self.sizes[k] / parts[k] as f64;
-                for part in (0..parts[k]).rev() {
-                    let time = times[k] + part as f64 * dt;
-                    let first = stages.len() - 1 - STAGES.len();
-                    y_bar = flow.advance_back(&stages[first..], (time, dt), self.boundary, y_bar, &mut found);
-                    stages.truncate(first + 1);
+            for ((from, to), begin) in spans.into_iter().zip(begins).rev() {
+                if stages.is_empty() {
+                    let end = go(begin, (from, to), &mut stages, true);
+                    stages.push(end);
                 }
+                for k in (from..to).rev() {
+                    let end = stages.len() - 1;
+                    self.add_figures(flow, (k, &stages[end]), figures, &mut y_bar, &mut of_figures, &mut found);
+                    let dt = self.sizes[k] / parts[k] as f64;
+                    for part in (0..parts[k]).rev() {
+                        let time = times[k] + part as f64 * dt;
+                        let first = stages.len() - 1 - STAGES.len();
+                        y_bar = flow.advance_back(&stages[first..], (time, dt), self.boundary, y_bar, &mut found);
+                        stages.truncate(first + 1);
+                    }
+                }
+                stages.clear();
             }
-            stages.clear();
         }
         flow.fill_back(&filled_first, at_start, (self.boundary, &walls), &mut y_bar, &mut found);
         let Found { pairs, mut all, .. } = found;
