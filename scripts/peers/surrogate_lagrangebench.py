@@ -6,34 +6,21 @@
 Its case (noise, neighbour list, features), its model, its update function, compiled by jax; compiling is not timed. The
 package imports more than it needs here: what is only for logging, downloads and pictures is left out.
 """
-import importlib.util
 import sys
-import types
 from functools import partial
 from unittest import mock
 
 import surrogate_row
 
-for name in ("torch", "torch.utils", "torch.utils.data", "wandb", "wandb.wandb_run", "gdown", "pyvista", "ott", "ott.tools", "ott.geometry", "ott.geometry.geometry",
-             "ott.tools.sinkhorn_divergence", "e3nn_jax", "e3nn_jax._src", "e3nn_jax._src.tensor_products"):
+for name in ("torch", "torch.utils", "torch.utils.data"):
     sys.modules[name] = mock.MagicMock(name=name)
+
+import lagrangebench_imports  # noqa: F401
 
 import jax
 import jax.numpy as jnp
 
 jax.config.update("jax_platforms", "cpu")
-# Names of 2023 that later versions of jax no longer have.
-jax.random.KeyArray = jax.Array
-for name in ("tree_map", "tree_leaves", "tree_structure", "tree_unflatten"):
-    if not hasattr(jax, name):
-        setattr(jax, name, getattr(jax.tree_util, name))
-
-sys.modules["jax.abstract_arrays"] = types.SimpleNamespace(ShapedArray=jax.core.ShapedArray)
-
-# jax_md as a bare folder: importing all of it fails with a later jax.
-jax_md = types.ModuleType("jax_md")
-jax_md.__path__ = list(importlib.util.find_spec("jax_md").submodule_search_locations)
-sys.modules["jax_md"] = jax_md
 
 import haiku as hk
 import numpy as np

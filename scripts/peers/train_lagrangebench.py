@@ -10,18 +10,15 @@ windows of the test split, the MSE over 1, 5 and 20 steps, over all particles an
 """
 import argparse
 import dataclasses
-import importlib.machinery
-import importlib.util
 import json
 import math
 import sys
 import time
-import types
 import warnings
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
+from lagrangebench_imports import stand_in
 
 warnings.filterwarnings("ignore", category=SyntaxWarning)
 
@@ -41,11 +38,6 @@ class Loader:
             yield self.collate([self.dataset[int(k)] for k in order[batch * self.batch_size:][:self.batch_size]])
 
 
-def stand_in(name, **contents):
-    sys.modules[name] = module = types.ModuleType(name)
-    module.__dict__.update(__spec__=importlib.machinery.ModuleSpec(name, None), **contents)
-
-
 class Generator:
     """torch's generator of random numbers, which LagrangeBench seeds for its loader."""
 
@@ -56,33 +48,12 @@ class Generator:
 stand_in("torch.utils.data", Dataset=object, DataLoader=Loader)
 stand_in("torch.utils", data=sys.modules["torch.utils.data"])
 stand_in("torch", utils=sys.modules["torch.utils"], Generator=Generator, Tensor=type("Tensor", (), {}), manual_seed=lambda _: None)
-for name in ("wandb", "wandb.wandb_run", "gdown", "pyvista", "ott", "ott.tools", "ott.geometry", "ott.geometry.geometry", "ott.tools.sinkhorn_divergence",
-             "e3nn_jax", "e3nn_jax._src", "e3nn_jax._src.tensor_products"):
-    sys.modules[name] = mock.MagicMock(name=name)
-
-import jax
-import jax.extend.backend
-import jax.interpreters
-import jax.lib
-import jax.monitoring
-import jax.numpy as jnp
-
-# Names of 2023 that later versions of jax no longer have.
-jax.random.KeyArray = jax.Array
-for name in ("tree_map", "tree_leaves", "tree_structure", "tree_flatten", "tree_unflatten"):
-    if not hasattr(jax, name):
-        setattr(jax, name, getattr(jax.tree_util, name))
-stand_in("jax.abstract_arrays", ShapedArray=jax.ShapeDtypeStruct)
-for package, name, contents in [("jax.lib", "xla_bridge", {"get_backend": jax.extend.backend.get_backend}), ("jax.interpreters", "partial_eval", {})]:
-    if importlib.util.find_spec(f"{package}.{name}") is None and not hasattr(sys.modules[package], name):
-        stand_in(f"{package}.{name}", **contents)
-        setattr(sys.modules[package], name, sys.modules[f"{package}.{name}"])
-
-# jax_md as a bare folder: importing all of it fails with a later jax.
-stand_in("jax_md", __path__=list(importlib.util.find_spec("jax_md").submodule_search_locations))
 
 import haiku as hk
 import h5py
+import jax
+import jax.monitoring
+import jax.numpy as jnp
 from lagrangebench import GNS, H5Dataset, PushforwardConfig, case_builder, infer
 from lagrangebench.train import trainer
 from safetensors.numpy import save_file

@@ -10,7 +10,6 @@ use crate::config::custom::Part;
 use crate::config::scene::{Asked, Config, LimitEntry, ObjectiveKind};
 use crate::error::{BadInput, Error};
 use crate::sph::cloud::figures::Figure;
-use crate::sph::cloud::unsteady_adjoint::MEMORY;
 
 /// A flow as a function of the variables of its configuration.
 pub trait Designed {
@@ -114,20 +113,7 @@ pub trait Around {
     ///
     /// # Errors
     /// As [`Self::march`] and [`Self::window`].
-    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
-        self.march_gradient_within(variables, history, of, MEMORY)
-    }
-    /// The same in so many bytes for states: with fewer of them more are made again.
-    ///
-    /// # Errors
-    /// As there.
-    fn march_gradient_within(
-        &self,
-        variables: &[f64],
-        history: &History,
-        of: Of<'_>,
-        memory: usize,
-    ) -> Result<Derivative, Error>;
+    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error>;
     /// The velocity on `output.grid`, `[points, D]`, not a number inside of shapes; none without a grid.
     fn velocity_on_grid(&self, _solution: &Self::Solution) -> Option<Vec<f64>> {
         None
