@@ -4,6 +4,7 @@ use crate::support::program::{hydrograd, refused, succeeds};
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::scene::around_flow::Around;
+use hydrograd::scene::around_in_time::Marching;
 use hydrograd::scene::around_shapes::AroundShapes;
 use hydrograd::scene::history::{History, Of};
 use std::fs;
@@ -147,7 +148,7 @@ fn the_gradient_is_the_same_in_any_memory() {
         // Of all stages, of those of some steps, of some states, and of none.
         let [all, some, few, least] = [100 * steps, 3 * steps, steps / 3, 0].map(|states| {
             let memory = states * state;
-            let found = around.march_gradient_within(&first, &history, Of::Objective, memory).unwrap();
+            let found = around.go_back(&first, &history, Of::Objective, memory).unwrap();
             found.by_variables
         });
         assert!(all.len() == 2 && all.iter().all(|by| by.abs() > 1e-6), "{all:?}");

@@ -226,7 +226,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         Ok(factorisations)
     }
 
-    /// See [`Around::march_gradient_within`].
+    /// See [`Around::march_gradient`]. `memory`: bytes for states; with fewer more of them are made again.
     ///
     /// # Errors
     /// As there.

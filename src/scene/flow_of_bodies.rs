@@ -22,6 +22,7 @@ use crate::sph::cloud::space::march::March;
 use crate::sph::cloud::space::particles::{Cloud, Shaped};
 use crate::sph::cloud::space::problem::Solution;
 use crate::sph::cloud::steady::Held;
+use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::sync::Arc;
 
@@ -64,14 +65,8 @@ impl Around for AroundBodies {
         self.go(variables, sizes, watch)
     }
 
-    fn march_gradient_within(
-        &self,
-        variables: &[f64],
-        history: &History,
-        of: Of<'_>,
-        memory: usize,
-    ) -> Result<Derivative, Error> {
-        self.go_back(variables, history, of, memory)
+    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
+        self.go_back(variables, history, of, MEMORY)
     }
 
     fn measured(&self, solution: &Solution, figure: Figure) -> f64 {

@@ -20,6 +20,7 @@ use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
 use crate::sph::cloud::sound::Medium;
 use crate::sph::cloud::steady::Held;
+use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -67,14 +68,8 @@ impl Around for AroundShapes {
         self.go(variables, sizes, watch)
     }
 
-    fn march_gradient_within(
-        &self,
-        variables: &[f64],
-        history: &History,
-        of: Of<'_>,
-        memory: usize,
-    ) -> Result<Derivative, Error> {
-        self.go_back(variables, history, of, memory)
+    fn march_gradient(&self, variables: &[f64], history: &History, of: Of<'_>) -> Result<Derivative, Error> {
+        self.go_back(variables, history, of, MEMORY)
     }
 
     fn velocity_on_grid(&self, solution: &Solution) -> Option<Vec<f64>> {

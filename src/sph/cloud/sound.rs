@@ -332,6 +332,11 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         Walls { conditions, acceleration: up.iter().zip(&down).map(of).collect() }
     }
 
+    /// Those in the middle of a part of a step and at its end, where its stages are.
+    pub(super) fn walls_of_part(&self, boundary: &dyn InTime<D, F, C>, (time, dt): (f64, f64)) -> [Walls<'a, D>; 2] {
+        [0.5, 1.0].map(|at| self.walls(boundary, time + at * dt, 0.5 * dt))
+    }
+
     /// The pressure where fluid leaves, by the velocities of the boundary.
     fn outlet(&self, y: &[f64], conditions: &[Condition<D>]) -> f64 {
         let inside = self.medium.inside;
@@ -431,8 +436,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         let width = F * WIDEST;
         let count = blocks(self.medium.inside) * width;
         let (mut sum, mut now, mut next) = (vec![0.0; count], z.clone(), z.clone());
-        // Stages are in the middle and at the end.
-        let [middle, end] = [0.5, 1.0].map(|at| self.walls(boundary, time + at * dt, 0.5 * dt));
+        let [middle, end] = self.walls_of_part(boundary, (time, dt));
         for (s, (at, weight)) in STAGES.into_iter().enumerate() {
             if s > 0 {
                 std::mem::swap(&mut now, &mut next);

@@ -216,7 +216,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         found: &mut Found<D, F, C>,
     ) -> Vec<f64> {
         let step = 0.5 * dt;
-        let [middle, end] = [0.5, 1.0].map(|at| self.walls(boundary, time + at * dt, step));
+        let [middle, end] = self.walls_of_part(boundary, (time, dt));
         self.fill_back(&states[STAGES.len()], (time + dt, step), (boundary, &end), &mut after, found);
         let count = blocks(self.medium.inside) * F * WIDEST;
         // z+ = z + sum of weighted rates; behind the last stage no other begins with its rates.
