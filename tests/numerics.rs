@@ -187,6 +187,39 @@ fn wind(side: usize) -> BlockMatrix {
     matrix
 }
 
+/// Where every node is next to every other, incomplete factors are those of the whole matrix, up to their single precision; and blocks of
+/// rows may come in parts.
+#[test]
+fn incomplete_factors_of_rows_in_parts() {
+    const SIZE: usize = 2;
+    let mut matrix = BlockMatrix::of_lists(5, SIZE, |_| (0..5).collect());
+    for (k, value) in matrix.values.iter_mut().enumerate() {
+        *value = (1.7 * k as f64).sin();
+    }
+    for i in 0..5 {
+        let entry = matrix.entry(i, i as u32);
+        matrix.block_mut(entry).copy_from_slice(&[9.0, 1.0, -2.0, 8.0 + i as f64]);
+    }
+    let known: Vec<f64> = (0..10).map(|k| 1.0 + (0.3 * k as f64).cos()).collect();
+    let right = matrix.times(&known, false);
+    let found = IncompleteLu::<SIZE>::new(&matrix).expect("factors").solve(&right);
+    let error = found.iter().zip(&known).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(error < 1e-5, "{error:e}");
+    let pattern = BlockMatrix::of_lists(5, 0, |_| (0..5).collect());
+    let in_parts = IncompleteLu::<SIZE>::of_rows(&pattern, |i, add| {
+        for part in [0.25, 0.75] {
+            for &j in matrix.row(i) {
+                let entry = matrix.entry(i, j);
+                let block = &matrix.values[entry * SIZE * SIZE..(entry + 1) * SIZE * SIZE];
+                add(j, &block.iter().map(|x| part * x).collect::<Vec<_>>());
+            }
+        }
+    });
+    let difference = in_parts.expect("factors").solve(&right);
+    let difference = difference.iter().zip(&found).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(difference < 1e-6, "{difference:e}");
+}
+
 /// With groups the products that a solution takes hardly grow with the size of the cube, and with the incomplete factors alone they
 /// do; the solutions are those of the matrix and of its transpose.
 #[test]

@@ -100,23 +100,51 @@ impl<const S: usize> IncompleteLu<S> {
     /// If the matrix has blocks of another size.
     pub fn new(matrix: &BlockMatrix) -> Result<Self, Singular> {
         assert_eq!(matrix.size, S, "blocks of the preconditioner's size");
-        let order = from_end_to_end(matrix);
+        Self::of_rows(matrix, |i, add| {
+            let from = matrix.first[i];
+            for (e, &j) in matrix.row(i).iter().enumerate() {
+                add(j, &matrix.values[(from + e) * S * S..(from + e + 1) * S * S]);
+            }
+        })
+    }
+
+    /// The factors of a matrix that is not stored: of each row `blocks` gives columns and blocks, row by row, whose sums it has; all are
+    /// entries of the pattern. (In double precision a matrix takes more memory than its factors and all else of a step in space.)
+    ///
+    /// # Errors
+    /// A diagonal block that has no inverse.
+    ///
+    /// # Panics
+    /// If the pattern has no such entry.
+    pub fn of_rows(
+        pattern: &BlockMatrix,
+        blocks: impl Fn(usize, &mut dyn FnMut(u32, &[f64])),
+    ) -> Result<Self, Singular> {
+        let order = from_end_to_end(pattern);
         let nodes = order.len();
         let mut place = vec![0u32; nodes];
         order.iter().enumerate().for_each(|(k, &i)| place[i as usize] = k as u32);
-        let (mut first, mut diagonal, mut column, mut value) = (vec![0], vec![], vec![], vec![]);
+        let entries = pattern.first[nodes];
+        let (mut column, mut value) = (Vec::with_capacity(entries), Vec::with_capacity(entries));
+        let (mut first, mut diagonal) = (vec![0], vec![]);
+        let mut own = vec![];
         for (k, &i) in order.iter().enumerate() {
-            let from = matrix.first[i as usize];
+            let (i, from) = (i as usize, pattern.first[i as usize]);
+            own.clear();
+            own.resize(pattern.row(i).len(), [[0.0; S]; S]);
+            blocks(i, &mut |j, block| {
+                let to = own[pattern.entry(i, j) - from].as_flattened_mut();
+                to.iter_mut().zip(block).for_each(|(to, x)| *to += x);
+            });
             let mut row: Vec<(u32, usize)> =
-                matrix.row(i as usize).iter().enumerate().map(|(e, &j)| (place[j as usize], from + e)).collect();
+                pattern.row(i).iter().enumerate().map(|(e, &j)| (place[j as usize], e)).collect();
             row.sort_unstable();
             for (to, e) in row {
                 if to as usize == k {
                     diagonal.push(column.len());
                 }
                 column.push(to);
-                let block = &matrix.values[e * S * S..(e + 1) * S * S];
-                value.push(std::array::from_fn(|b| std::array::from_fn(|a| block[a * S + b] as f32)));
+                value.push(std::array::from_fn(|b| std::array::from_fn(|a| own[e][a][b] as f32)));
             }
             first.push(column.len());
         }

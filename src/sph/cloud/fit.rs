@@ -63,7 +63,7 @@ pub struct Stencils<const D: usize = 2> {
     /// Rows of pairs before each block, `[blocks + 1]`.
     pub(super) first: Vec<usize>,
     pub list: Vec<u32>,
-    /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`.
+    /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`; empty along axes without images.
     shift: [Vec<f64>; D],
     weight: Vec<f64>,
     /// h_i, `[blocks, WIDEST]`.
@@ -139,6 +139,9 @@ impl<const D: usize> Stencils<D> {
                 (0..D).for_each(|d| all.shift[d][place] = shift[d]);
             }
         }
+        for shift in all.shift.iter_mut().filter(|shift| shift.iter().all(|&x| x == 0.0)) {
+            *shift = vec![];
+        }
         Ok(all)
     }
 
@@ -187,7 +190,11 @@ impl<const D: usize> Stencils<D> {
     /// Neighbour, weight and constant shift of a pair.
     pub fn pair(&self, i: usize, k: usize) -> (usize, f64, [f64; D]) {
         let place = self.place(i, k);
-        (self.list[place] as usize, self.weight[place], std::array::from_fn(|d| self.shift[d][place]))
+        (
+            self.list[place] as usize,
+            self.weight[place],
+            self.shift.each_ref().map(|shift| shift.get(place).copied().unwrap_or(0.0)),
+        )
     }
 
     /// C coefficients of all pairs, of Q monomials, with P numbers in their matrix.
@@ -400,7 +407,9 @@ pub(super) fn offset<L: Lanes<Real = f64>, const D: usize>(
         let (to, from) = unsafe {
             (L::gather(position[d].as_ptr(), stencils.list.as_ptr().add(place)), L::load(position[d].as_ptr().add(i)))
         };
-        (to - from + L::load_part(&stencils.shift[d][place..])) * inverse_scale
+        let shift = &stencils.shift[d];
+        let apart = if shift.is_empty() { to - from } else { to - from + L::load_part(&shift[place..]) };
+        apart * inverse_scale
     });
     (s, L::load_part(&stencils.weight[place..]))
 }

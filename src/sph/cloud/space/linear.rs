@@ -75,7 +75,8 @@ impl Linear {
     /// `rate`: a0 / dt of a step in time, of which `state` is one at rest; 0 of a steady flow.
     pub fn new(equations: &Equations, state: &State, d: &Derivatives, operators: &Coefficients<C>, rate: f64) -> Self {
         let n = equations.particles();
-        let (mut first, mut column, mut pairs) = (vec![0], vec![], vec![]);
+        let most = equations.fits.all.list.len();
+        let (mut first, mut column, mut pairs) = (vec![0], Vec::with_capacity(most), Vec::with_capacity(most));
         let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
         let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
         let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.fits.all.matrix(1) };
@@ -253,39 +254,59 @@ impl Linear {
         self.takes.iter().all(|take| take.carries[a] == take.carries[b])
     }
 
-    /// All of the matrix. Where no pressure is given, a constant is left; one particle's is held.
-    fn whole(&self) -> BlockMatrix {
+    /// A matrix of zeros with blocks of a size where this one has them.
+    fn zeros(&self, size: usize) -> BlockMatrix {
         let list = |i: usize| self.column[self.first[i]..self.first[i + 1]].to_vec();
-        let mut matrix = BlockMatrix::of_lists(self.particles(), FLOW, list);
-        for i in 0..self.particles() {
-            for e in self.first[i]..self.first[i + 1] {
-                let (j, [k, gx, gy, gz, s]) = (self.column[e], self.pairs[e]);
-                let takes = self.takes[if self.transposed { j as usize } else { i }];
-                let (to_momentum, to_continuity) =
-                    if self.transposed { (takes.flows, takes.pushes) } else { (takes.pushes, takes.flows) };
-                let entry = matrix.entry(i, j);
-                let block = matrix.block_mut(entry);
-                for (a, slope) in [gx, gy, gz].into_iter().enumerate() {
-                    block[FLOW * a + a] += takes.carries[a] * k;
-                    block[FLOW * a + PRESSURE] += to_momentum * slope;
-                    block[FLOW * PRESSURE + a] += to_continuity * slope;
-                }
-                block[FLOW * PRESSURE + PRESSURE] += takes.flows * s;
+        BlockMatrix::of_lists(self.particles(), size, list)
+    }
+
+    /// The blocks of a row of all of the matrix, each with its column. Where no pressure is given, a constant is left; one particle's is
+    /// held.
+    fn blocks(&self, i: usize, add: &mut dyn FnMut(u32, &[f64])) {
+        for e in self.first[i]..self.first[i + 1] {
+            let (j, [k, gx, gy, gz, s]) = (self.column[e], self.pairs[e]);
+            let takes = self.takes[if self.transposed { j as usize } else { i }];
+            let (to_momentum, to_continuity) =
+                if self.transposed { (takes.flows, takes.pushes) } else { (takes.pushes, takes.flows) };
+            let mut block = [[0.0; FLOW]; FLOW];
+            for (a, slope) in [gx, gy, gz].into_iter().enumerate() {
+                block[a][a] = takes.carries[a] * k;
+                block[a][PRESSURE] = to_momentum * slope;
+                block[PRESSURE][a] = to_continuity * slope;
             }
-            let entry = matrix.entry(i, i as u32);
-            matrix.block_mut(entry).iter_mut().zip(self.own[i].as_flattened()).for_each(|(to, x)| *to += x);
+            block[PRESSURE][PRESSURE] = takes.flows * s;
+            add(j, block.as_flattened());
         }
-        if !self.given.contains(&true) {
-            let entry = matrix.entry(0, 0);
-            matrix.block_mut(entry)[FLOW * PRESSURE + PRESSURE] += self.own[0][PRESSURE][PRESSURE];
+        let mut own = self.own[i];
+        if i == 0 && !self.given.contains(&true) {
+            own[PRESSURE][PRESSURE] *= 2.0;
+        }
+        add(i as u32, own.as_flattened());
+    }
+
+    /// All of the matrix.
+    fn whole(&self) -> BlockMatrix {
+        let mut matrix = self.zeros(FLOW);
+        for i in 0..self.particles() {
+            self.blocks(i, &mut |j, block| {
+                let entry = matrix.entry(i, j);
+                matrix.block_mut(entry).iter_mut().zip(block).for_each(|(to, x)| *to += x);
+            });
         }
         matrix
     }
 
+    /// Incomplete factors of all of the matrix.
+    ///
+    /// # Errors
+    /// A particle whose own block has no inverse.
+    fn nearly(&self) -> Result<IncompleteLu<FLOW>, Singular> {
+        IncompleteLu::of_rows(&self.zeros(0), |i, add| self.blocks(i, add))
+    }
+
     /// K of a component of the velocity, without what the flow's own slopes add.
     fn carrying(&self, component: usize) -> BlockMatrix {
-        let list = |i: usize| self.column[self.first[i]..self.first[i + 1]].to_vec();
-        let mut matrix = BlockMatrix::of_lists(self.particles(), 1, list);
+        let mut matrix = self.zeros(1);
         for i in 0..self.particles() {
             for e in self.first[i]..self.first[i + 1] {
                 let j = self.column[e] as usize;
@@ -362,7 +383,7 @@ impl System {
     ) -> Result<Self, Singular> {
         let whole = match order {
             Some(order) => Some(Whole::Exact(SparseLu::new(order, &linear.whole(), threads)?)),
-            None if linear.rate > 0.0 => Some(Whole::Nearly(IncompleteLu::new(&linear.whole())?)),
+            None if linear.rate > 0.0 => Some(Whole::Nearly(linear.nearly()?)),
             None => None,
         };
         let parts = if whole.is_some() { 0 } else { 3 };

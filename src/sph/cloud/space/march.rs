@@ -25,8 +25,7 @@ const ROUNDING: f64 = 1e-13;
 const ADJOINT: f64 = 1e-11;
 /// Up to so many particles the whole matrix is factorised exactly.
 const FACTORISED: usize = 2000;
-/// Matrices that are kept, of sizes of steps and their transposes: so many, or more as long as they need no more than these bytes.
-const KEPT: usize = 2;
+/// Memory of the matrices that are kept, of sizes of steps and their transposes; one is kept in any case.
 const BYTES: usize = 1_000_000_000;
 
 /// The systems of one size of step, or their transposes.
@@ -95,7 +94,8 @@ impl<'a> March<'a> {
             self.kept.push(found);
             return Ok(());
         }
-        while self.kept.len() >= KEPT && self.bytes() > BYTES {
+        // Each needs as much as the last one.
+        while self.kept.last().is_some_and(|last| self.bytes() + last.bytes() > BYTES) {
             self.kept.remove(0);
         }
         self.solver.equations.damping = lagged(&self.damping, rate);

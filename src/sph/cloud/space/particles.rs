@@ -16,7 +16,7 @@ use super::scalar::Scalar;
 use super::surface::OnSurface;
 use crate::sph::consistent::stencil::quadratic;
 use std::fmt::Debug;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Second derivatives are fits of third order up to this distance from shapes, in dx.
 const REACH: f64 = 3.0;
@@ -44,8 +44,9 @@ pub struct Cloud {
     pub surroundings: Arc<dyn Surroundings>,
     /// Middle of the points of each shape.
     pub centre: Vec<[f64; 3]>,
-    /// Laplace's equation at the reference positions, and its transpose.
-    map: [Scalar; 2],
+    threads: usize,
+    /// Laplace's equation at the reference positions, and its transpose. Only a shape that changes needs them.
+    map: OnceLock<Option<[Scalar; 2]>>,
 }
 
 /// The cloud of one shape.
@@ -82,26 +83,6 @@ impl Cloud {
         let near = neighbours(&ground, &places, &kinds, threads);
         let fits = fits(ground.region, &places.place, &kinds, &near);
         let fits = Arc::new(fits.map_err(|i| Unusable::Lonely(places.place[i]))?);
-        let stencils = &fits.all;
-        let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
-        let operators = fits.coefficients(&position);
-        let mut laplace = stencils.matrix(1);
-        for i in 0..stencils.particles {
-            let diagonal = laplace.entry(i, i as u32);
-            if i >= places.inside {
-                laplace.values[diagonal] = 1.0;
-                continue;
-            }
-            for k in 0..stencils.count(i) {
-                let c = operators.of(i, k);
-                let value: f64 = (0..3).map(|a| c[quadratic(3, a, a)]).sum();
-                let entry = laplace.entry(i, stencils.neighbour(i, k) as u32);
-                laplace.values[entry] += value;
-                laplace.values[diagonal] -= value;
-            }
-        }
-        let mut transposed = laplace.clone();
-        transposed.transpose();
         let centre = (0..ground.surfaces.len())
             .map(|shape| {
                 let surface = &ground.surfaces[shape];
@@ -110,9 +91,39 @@ impl Cloud {
                 std::array::from_fn(|d| all.iter().map(|p| p[d]).sum::<f64>() / all.len().max(1) as f64)
             })
             .collect();
-        let equation = |matrix| Scalar::new(matrix, threads).map_err(|_| Unusable::Singular);
-        let map = [equation(laplace)?, equation(transposed)?];
-        Ok(Self { ground, places, fluid, fits, surroundings, centre, map })
+        Ok(Self { ground, places, fluid, fits, surroundings, centre, threads, map: OnceLock::new() })
+    }
+
+    /// The equations of the map, and their transpose.
+    fn map(&self) -> Result<&[Scalar; 2], Unusable<3>> {
+        let make = || {
+            let operators = self.fits.coefficients(&self.reference());
+            let (stencils, inside) = (&self.fits.all, self.places.inside);
+            let mut laplace = stencils.matrix(1);
+            for i in 0..stencils.particles {
+                let diagonal = laplace.entry(i, i as u32);
+                if i >= inside {
+                    laplace.values[diagonal] = 1.0;
+                    continue;
+                }
+                for k in 0..stencils.count(i) {
+                    let c = operators.of(i, k);
+                    let value: f64 = (0..3).map(|a| c[quadratic(3, a, a)]).sum();
+                    let entry = laplace.entry(i, stencils.neighbour(i, k) as u32);
+                    laplace.values[entry] += value;
+                    laplace.values[diagonal] -= value;
+                }
+            }
+            let mut transposed = laplace.clone();
+            transposed.transpose();
+            Some([Scalar::new(laplace, self.threads).ok()?, Scalar::new(transposed, self.threads).ok()?])
+        };
+        self.map.get_or_init(make).as_ref().ok_or(Unusable::Singular)
+    }
+
+    /// Reference positions, `[3][N]`.
+    fn reference(&self) -> [Vec<f64>; 3] {
+        std::array::from_fn(|d| self.places.place.iter().map(|p| p[d]).collect())
     }
 
     pub fn particles(&self) -> usize {
@@ -166,10 +177,10 @@ impl Cloud {
             normal[k] = new.area.map(|x| x / norm(new.area));
             volume -= self.ground.surfaces[shape].volume(&new, self.centre[shape]);
         }
-        let mut position: [Vec<f64>; 3] = std::array::from_fn(|d| self.places.place.iter().map(|p| p[d]).collect());
+        let mut position = self.reference();
         for d in 0..3 {
             if moved[d].iter().any(|&x| x != 0.0) {
-                let moved = self.map[0].solve(&moved[d]).ok_or(Unusable::Singular)?;
+                let moved = self.map()?[0].solve(&moved[d]).ok_or(Unusable::Singular)?;
                 position[d].iter_mut().zip(moved).for_each(|(x, moved)| *x += moved);
             }
         }
@@ -208,7 +219,7 @@ impl Cloud {
         let inside = self.places.inside;
         let mut place_bar = self.conditions_back(&shaped.position, &shaped.numbers, &bar.boundary, time);
         for d in 0..3 {
-            let of_boundary = self.map[1].solve(&position_bar[d]).ok_or(Unusable::Singular)?;
+            let of_boundary = self.map()?[1].solve(&position_bar[d]).ok_or(Unusable::Singular)?;
             place_bar.iter_mut().zip(&of_boundary[inside..]).for_each(|(to, x)| to[d] += *x);
         }
         let of = |&(shape, number): &(usize, usize)| {
