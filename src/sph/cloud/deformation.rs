@@ -6,7 +6,32 @@
 
 use super::fit::{Coefficients, Stencils};
 use crate::numerics::sparse_lu::{BlockMatrix, Order, Singular, SparseLu};
+use crate::sph::consistent::stencil::laplacian;
 use std::sync::Arc;
+
+/// Laplace's equation at particles inside, and what is given at the others.
+pub(super) fn laplace<const D: usize, const C: usize>(
+    stencils: &Stencils<D>,
+    operators: &Coefficients<C>,
+    inside: usize,
+) -> BlockMatrix {
+    let mut matrix = stencils.matrix(1);
+    for i in 0..stencils.particles {
+        let diagonal = matrix.entry(i, i as u32);
+        if i >= inside {
+            matrix.values[diagonal] = 1.0;
+            continue;
+        }
+        for k in 0..stencils.count(i) {
+            let c = operators.of(i, k);
+            let value = laplacian::<f64, D>(|a| c[a]);
+            let entry = matrix.entry(i, stencils.neighbour(i, k) as u32);
+            matrix.values[entry] += value;
+            matrix.values[diagonal] -= value;
+        }
+    }
+    matrix
+}
 
 /// The map of a reference cloud.
 #[derive(Debug)]
@@ -26,20 +51,7 @@ impl Deformation {
         inside: usize,
         threads: usize,
     ) -> Result<Self, Singular> {
-        let mut matrix = stencils.matrix(1);
-        for i in 0..stencils.particles {
-            let diagonal = matrix.entry(i, i as u32);
-            if i >= inside {
-                matrix.values[diagonal] = 1.0;
-                continue;
-            }
-            for k in 0..stencils.count(i) {
-                let c = operators.of(i, k);
-                let entry = matrix.entry(i, stencils.neighbour(i, k) as u32);
-                matrix.values[entry] += c[2] + c[4];
-                matrix.values[diagonal] -= c[2] + c[4];
-            }
-        }
+        let matrix = laplace(stencils, operators, inside);
         let order = Arc::new(Order::new(&matrix, |i| places[i]));
         let lu = SparseLu::new(&order, &matrix, threads)?;
         Ok(Self { inside, matrix, lu })

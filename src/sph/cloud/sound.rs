@@ -40,7 +40,7 @@ use super::unsteady::{Control, InTime};
 use crate::numerics::lanes::{Lanes, WIDEST};
 use crate::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use crate::numerics::sweep::{run_parts, PartKernel};
-use crate::sph::consistent::stencil::quadratic;
+use crate::sph::consistent::stencil::laplacian;
 use std::borrow::Cow;
 use std::sync::Arc;
 
@@ -140,10 +140,9 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         for i in 0..blocks(n) * WIDEST {
             for k in 0..stencils.count(i) {
                 let c = medium.operators.of(i, k);
-                let laplacian: f64 = (0..D).map(|a| c[quadratic(D, a, a)]).sum();
                 let first = stencils.row(i, k) * F * WIDEST + i % WIDEST;
                 (0..D).for_each(|d| table[first + d * WIDEST] = c[d]);
-                table[first + D * WIDEST] = laplacian;
+                table[first + D * WIDEST] = laplacian::<f64, D>(|a| c[a]);
                 table[first + (D + 1) * WIDEST] = c[C - 1];
             }
         }

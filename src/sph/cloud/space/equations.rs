@@ -13,7 +13,7 @@
 use super::super::equations::{self, damping_slope, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::super::fits::Fits;
-use crate::sph::consistent::stencil::quadratic;
+use crate::sph::consistent::stencil::{self, quadratic};
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::sync::Arc;
 
@@ -68,7 +68,7 @@ pub struct Equations {
 
 /// The sum of the second derivatives.
 pub(super) fn laplacian(d: &[f64; C]) -> f64 {
-    (0..3).map(|a| d[quadratic(3, a, a)]).sum()
+    stencil::laplacian::<f64, 3>(|a| d[a])
 }
 
 pub(super) fn dot(a: [f64; 3], b: &[f64; C]) -> f64 {

@@ -3,6 +3,7 @@
 //! Points on a surface follow it; the others follow by a harmonic map, see [`super::super::deformation`].
 
 use super::super::conditions::Conditions;
+use super::super::deformation::laplace;
 use super::super::equations::{damping, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::fits::Fits;
@@ -14,7 +15,6 @@ use super::fits::{fits, Where};
 use super::placing::{BoundaryPoint, Ground, Places};
 use super::scalar::Scalar;
 use super::surface::OnSurface;
-use crate::sph::consistent::stencil::quadratic;
 use std::fmt::Debug;
 use std::sync::{Arc, OnceLock};
 
@@ -98,22 +98,7 @@ impl Cloud {
     fn map(&self) -> Result<&[Scalar; 2], Unusable<3>> {
         let make = || {
             let operators = self.fits.coefficients(&self.reference());
-            let (stencils, inside) = (&self.fits.all, self.places.inside);
-            let mut laplace = stencils.matrix(1);
-            for i in 0..stencils.particles {
-                let diagonal = laplace.entry(i, i as u32);
-                if i >= inside {
-                    laplace.values[diagonal] = 1.0;
-                    continue;
-                }
-                for k in 0..stencils.count(i) {
-                    let c = operators.of(i, k);
-                    let value: f64 = (0..3).map(|a| c[quadratic(3, a, a)]).sum();
-                    let entry = laplace.entry(i, stencils.neighbour(i, k) as u32);
-                    laplace.values[entry] += value;
-                    laplace.values[diagonal] -= value;
-                }
-            }
+            let laplace = laplace(&self.fits.all, &operators, self.places.inside);
             let mut transposed = laplace.clone();
             transposed.transpose();
             Some([Scalar::new(laplace, self.threads).ok()?, Scalar::new(transposed, self.threads).ok()?])
