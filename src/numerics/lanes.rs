@@ -53,6 +53,8 @@ pub trait RowKernel<R: Real>: Sync {
     /// Whether it sums over rows of about 30 neighbours, as in two dimensions. Much of the second vector of 16 lanes
     /// would be padding, so at most 8 lanes are used. Kernels that share what they keep of pairs must agree.
     const SHORT: bool = false;
+    /// Whether it computes on the four or eight numbers of one particle at a time: at most 4 lanes of f64 are used.
+    const FEW: bool = false;
     /// Whether it is so long that without vector instructions it is compiled for one number at a time: the compiler
     /// would take minutes to turn arrays into vectors again.
     const LARGE: bool = false;
@@ -702,7 +704,9 @@ macro_rules! real {
                 #[inline(never)]
                 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
                 fn avx512<K: RowKernel<$real>>(kernel: &K, rows: Range<usize>) {
-                    if K::SHORT {
+                    if K::FEW {
+                        kernel.rows::<x86::$avx2>(rows);
+                    } else if K::SHORT {
                         kernel.rows::<x86::$short>(rows);
                     } else {
                         kernel.rows::<x86::$avx512>(rows);

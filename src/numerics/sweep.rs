@@ -140,6 +140,8 @@ pub fn zeros<R: Real>(count: usize) -> Vec<R> {
 /// A kernel over parts, each with what is written for it. Nothing else is written, so no two threads write the same.
 pub trait PartKernel<R: Real>: Sync {
     type Part: Send;
+    /// See [`RowKernel::FEW`].
+    const FEW: bool = false;
     /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
     fn part<L: Lanes<Real = R>>(&self, number: usize, part: &mut Self::Part);
 }
@@ -157,6 +159,8 @@ struct Parts<'a, R: Real, K: PartKernel<R>> {
 }
 
 impl<R: Real, K: PartKernel<R>> RowKernel<R> for Parts<'_, R, K> {
+    const FEW: bool = K::FEW;
+
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
         for k in rows {

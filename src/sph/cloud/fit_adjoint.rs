@@ -32,10 +32,14 @@ impl<const C: usize> PairCotangents<C> {
 }
 
 impl<const C: usize> PairCotangents<C> {
-    /// Adds those of coefficient c of a row of pairs.
-    pub(super) fn add_row(&mut self, row: usize, c: usize, more: &[f64]) {
-        let own = &mut self.value[(row * C + c) * WIDEST..][..WIDEST];
-        own.iter_mut().zip(more).for_each(|(own, more)| *own += more);
+    /// That of coefficient c of neighbour k of a particle.
+    pub(super) fn of_pair<const D: usize>(
+        &mut self,
+        stencils: &Stencils<D>,
+        (i, k): (usize, usize),
+        c: usize,
+    ) -> &mut f64 {
+        &mut self.value[(stencils.row(i, k) * C + c) * WIDEST + i % WIDEST]
     }
 
     /// Those of the coefficients that are `taken`, which are of `small`, whose neighbours are the first of those of `all`. They become 0

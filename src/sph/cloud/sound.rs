@@ -31,17 +31,18 @@
 //! of an incompressible fluid.
 
 use super::equations::{Condition, Motion, State, Warmth};
-use super::fit::{blocks, field, Coefficients};
+use super::fit::Coefficients;
 use super::fit_adjoint::PairCotangents;
 use super::fits::Fits;
 use super::particles::Fluid;
 use super::steady::NoSteadyState;
 use super::unsteady::{Control, InTime};
-use crate::numerics::lanes::{Lanes, WIDEST};
+use crate::numerics::lanes::{array, Lanes};
 use crate::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::laplacian;
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// tau in h / c.
@@ -55,6 +56,12 @@ const ITERATIONS: usize = 60;
 /// Weight of S in the pressure of walls, in scales of the fit. (In space with 1 rates are ten times as fast as sound, and the flow around a
 /// ball is not finite; with 3 and 6 they are not, and its drag is the same.)
 const SMOOTHING: f64 = 3.0;
+/// Numbers of a vector.
+pub(super) const FOUR: usize = 4;
+/// The most numbers of a particle.
+pub(super) const MOST: usize = 2 * FOUR;
+/// Particles that a thread computes together.
+const TOGETHER: usize = 32;
 /// How far the fluid may go, in spacings, until its figures are looked at again.
 const COURANT: f64 = 0.5;
 /// Stages of a step: how far along each is, and its weight in the result.
@@ -101,14 +108,17 @@ impl<const F: usize> Edge<F> {
     }
 }
 
-/// A flow with sound in D dimensions, with F = D + 2 fields: velocity, pressure, temperature. Fields of particles are
-/// `[blocks, F, WIDEST]`, coefficients of pairs, those of slopes, Laplacian and S, `[blocks, K, F, WIDEST]`.
+/// A flow with sound in D dimensions, with F = D + 2 fields: velocity, pressure, temperature. What a step reads most lies one particle after
+/// another, because a neighbour's fields are then one piece of memory: fields of particles are `[N, WIDTH]`, coefficients of pairs, those
+/// of slopes, Laplacian and S, `[pairs, F]`.
 pub struct WithSound<'a, const D: usize, const F: usize, const C: usize> {
     pub(super) medium: Medium<'a, D, C>,
+    /// Where the pairs of each particle begin, `[N + 1]`.
+    pub(super) first: Vec<usize>,
     pub(super) table: Vec<f64>,
-    /// Where the fields of each neighbour begin.
+    /// The neighbour of each pair.
     pub(super) list: Vec<u32>,
-    /// c^2 tau, `[blocks, WIDEST]`.
+    /// c^2 tau, `[N]`.
     pub(super) damping: Vec<f64>,
     /// Of each field.
     pub(super) edges: [Edge<F>; F],
@@ -135,20 +145,19 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     pub fn new(medium: Medium<'a, D, C>) -> Result<Self, NoSteadyState> {
         let stencils = &medium.fits.all;
         let n = stencils.particles;
-        let pairs = stencils.list.len();
-        let mut table = vec![0.0; pairs * F];
-        for i in 0..blocks(n) * WIDEST {
-            for k in 0..stencils.count(i) {
+        let (mut first, mut list, mut table) = (vec![0], vec![], vec![]);
+        list.reserve_exact(stencils.list.len());
+        table.reserve_exact(stencils.list.len() * F);
+        for i in 0..n {
+            for k in (0..stencils.count(i)).filter(|&k| stencils.neighbour(i, k) != i) {
                 let c = medium.operators.of(i, k);
-                let first = stencils.row(i, k) * F * WIDEST + i % WIDEST;
-                (0..D).for_each(|d| table[first + d * WIDEST] = c[d]);
-                table[first + D * WIDEST] = laplacian::<f64, D>(|a| c[a]);
-                table[first + (D + 1) * WIDEST] = c[C - 1];
+                list.push(stencils.neighbour(i, k) as u32);
+                table.extend_from_slice(&c[..D]);
+                table.extend([laplacian::<f64, D>(|a| c[a]), c[C - 1]]);
             }
+            first.push(list.len());
         }
-        let list = stencils.list.iter().map(|&j| field(F, j as usize, 0) as u32).collect();
-        let mut damping: Vec<f64> = medium.spacing.iter().map(|h| DAMPING * h * medium.sound).collect();
-        damping.resize(blocks(n) * WIDEST, 0.0);
+        let damping = medium.spacing.iter().map(|h| DAMPING * h * medium.sound).collect();
         let gives_pressure = medium.conditions.iter().any(|c| matches!(c.motion, Motion::Outflow(_)));
         let edges = std::array::from_fn(|_| Edge { rows: vec![], lu: None });
         let least = smallest(medium.spacing);
@@ -158,7 +167,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         let total: f64 = points.clone().filter(leaves).map(own).sum();
         let shares = if gives_pressure { points.map(|k| own(k) / total).collect() } else { vec![] };
         let mut found =
-            Self { medium, table, list, damping, edges, floats: !gives_pressure, fastest: 0.0, least, shares };
+            Self { medium, first, table, list, damping, edges, floats: !gives_pressure, fastest: 0.0, least, shares };
         let order = found.order();
         for f in 0..F {
             found.edges[f] = found.edge(f, &order)?;
@@ -184,13 +193,12 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         };
         let conditions: Cow<'_, [Condition<D>]> = self.medium.conditions.iter().map(zero).collect();
         let walls = Walls { acceleration: vec![[0.0; D]; conditions.len()], conditions };
-        let width = F * WIDEST;
-        let count = blocks(self.medium.inside) * width;
-        // Every disturbance is in it, so small that it does not carry itself. Pressures are as large as those of sound.
-        let mut y = vec![0.0; blocks(self.medium.fits.all.particles) * width];
         let (inside, sound) = (self.medium.inside, self.medium.sound);
+        let count = inside * Self::WIDTH;
+        // Every disturbance is in it, so small that it does not carry itself. Pressures are as large as those of sound.
+        let mut y = vec![0.0; self.medium.fits.all.particles * Self::WIDTH];
         let scale = |f: usize| if f == D { sound } else { 1.0 };
-        let each = || (0..inside).flat_map(|i| (0..F).map(move |f| (field(F, i, f), f)));
+        let each = || (0..inside).flat_map(|i| (0..F).map(move |f| (Self::at(i, f), f)));
         each().for_each(|(k, f)| y[k] = scale(f) * ((1.0 + k as f64 * 0.754_877_666).fract() - 0.5));
         let (mut rate, mut length) = (0.0, 1.0);
         for iteration in 0..ITERATIONS {
@@ -206,8 +214,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             length = size * small;
             self.fill(&mut y, &walls);
             let (mut sum, mut next) = (vec![0.0; count], y.clone());
-            let kernel = Rates { flow: self, now: &y, start: &y, weight: 1.0, ahead: None };
-            run_parts(&kernel, sum.chunks_exact_mut(width).zip(next[..count].chunks_exact_mut(width)));
+            Rates { flow: self, now: &y, start: &y, weight: 1.0, ahead: None }.run(&mut sum, &mut next[..count]);
             y[..count].copy_from_slice(&sum);
         }
         (self.medium.fluid.force, self.medium.fluid.buoyancy) = (force, buoyancy);
@@ -218,16 +225,51 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         self.medium.conditions.len()
     }
 
+    /// Numbers from a particle's fields to those of the next one: whole vectors of four.
+    pub(super) const WIDTH: usize = F.next_multiple_of(FOUR);
+
+    /// The place of a particle's field.
+    #[inline(always)]
+    pub(super) fn at(i: usize, f: usize) -> usize {
+        i * Self::WIDTH + f
+    }
+
     pub(super) fn has_heat(&self) -> bool {
         self.medium.fluid.diffusivity.is_some()
     }
 
+    /// How many fields the flow has: without heat the temperature, which is the last one, is not computed.
+    #[inline(always)]
+    pub(super) fn fields(&self) -> usize {
+        F - usize::from(!self.has_heat())
+    }
+
+    /// Whether the first four fields are all.
+    #[inline(always)]
+    pub(super) fn has_few(&self) -> bool {
+        F <= FOUR || self.fields() <= FOUR
+    }
+
+    /// What the Laplacian of each field is multiplied with in its rate: that of the pressure, with none.
+    #[inline(always)]
+    pub(super) fn diffusion(&self) -> [f64; F] {
+        array(|f| match f {
+            f if f < D => self.medium.fluid.viscosity,
+            f if f == D => 0.0,
+            _ => self.medium.fluid.diffusivity.unwrap_or(0.0),
+        })
+    }
+
+    /// The pairs of a particle.
+    #[inline(always)]
+    pub(super) fn pairs(&self, i: usize) -> Range<usize> {
+        self.first[i]..self.first[i + 1]
+    }
+
     /// Which neighbours of a point are on the boundary, as points.
     fn neighbours(&self, point: usize) -> Vec<u32> {
-        let (stencils, inside) = (&self.medium.fits.all, self.medium.inside);
-        let i = inside + point;
-        let all = (0..stencils.count(i)).map(|k| stencils.neighbour(i, k));
-        all.filter_map(|j| j.checked_sub(inside).map(|j| j as u32)).filter(|&j| j as usize != point).collect()
+        let inside = self.medium.inside;
+        self.list[self.pairs(inside + point)].iter().filter_map(|&j| j.checked_sub(inside as u32)).collect()
     }
 
     fn order(&self) -> Arc<Order> {
@@ -261,7 +303,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         if rows.iter().all(Option::is_none) || (f > D && !self.has_heat()) {
             return Ok(Edge { rows, lu: None });
         }
-        let (stencils, inside) = (&self.medium.fits.all, self.medium.inside);
+        let inside = self.medium.inside;
         let mut matrix = BlockMatrix::of_lists(self.points(), 1, |k| self.neighbours(k));
         for (k, row) in rows.iter().enumerate() {
             let diagonal = matrix.entry(k, k as u32);
@@ -269,12 +311,11 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
                 matrix.values[diagonal] = 1.0;
                 continue;
             };
-            let i = inside + k;
-            for pair in 0..stencils.count(i) {
-                let c: f64 = self.pair(i, pair).iter().zip(weights).map(|(c, weight)| c * weight).sum();
+            for pair in self.pairs(inside + k) {
+                let c: f64 = self.pair(pair).iter().zip(weights).map(|(c, weight)| c * weight).sum();
                 matrix.values[diagonal] -= c;
-                if let Some(j) = stencils.neighbour(i, pair).checked_sub(inside) {
-                    let entry = matrix.entry(k, j as u32);
+                if let Some(j) = self.list[pair].checked_sub(inside as u32) {
+                    let entry = matrix.entry(k, j);
                     matrix.values[entry] += c;
                 }
             }
@@ -284,36 +325,48 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
 
     /// The coefficients of a pair.
     #[inline(always)]
-    pub(super) fn pair(&self, i: usize, k: usize) -> [f64; F] {
-        let first = self.medium.fits.all.row(i, k) * F * WIDEST + i % WIDEST;
-        std::array::from_fn(|a| self.table[first + a * WIDEST])
-    }
-
-    /// Where the fields of a neighbour begin.
-    #[inline(always)]
-    pub(super) fn begin(&self, i: usize, k: usize) -> usize {
-        self.list[self.medium.fits.all.row(i, k) * WIDEST + i % WIDEST] as usize
+    pub(super) fn pair(&self, pair: usize) -> &[f64] {
+        &self.table[pair * F..][..F]
     }
 
     /// Slopes, Laplacian and S of a field at a particle.
     pub(super) fn sums(&self, y: &[f64], i: usize, f: usize) -> [f64; F] {
-        let own = y[field(F, i, f)];
+        let own = y[Self::at(i, f)];
         let mut sums = [0.0; F];
-        for k in 0..self.medium.fits.all.count(i) {
-            let difference = y[self.begin(i, k) + f * WIDEST] - own;
-            let c = self.pair(i, k);
-            (0..F).for_each(|a| sums[a] += c[a] * difference);
+        for pair in self.pairs(i) {
+            let difference = y[Self::at(self.list[pair] as usize, f)] - own;
+            sums.iter_mut().zip(self.pair(pair)).for_each(|(sum, c)| *sum += c * difference);
         }
         sums
     }
 
+    /// The same of the first `FIELDS` fields, `[sum][field]`.
+    #[inline(always)]
+    pub(super) fn all_sums<L: Lanes<Real = f64>, const FIELDS: usize>(&self, y: &[f64], i: usize) -> [Record; F] {
+        let own = Vectors::<L, FIELDS>::load(y, Self::at(i, 0));
+        let mut sums = [Vectors::<L, FIELDS>::zero(); F];
+        for pair in self.pairs(i) {
+            let difference = Vectors::load(y, Self::at(self.list[pair] as usize, 0)).minus(&own);
+            let c = self.pair(pair);
+            (0..F).for_each(|a| sums[a].add(c[a], &difference));
+        }
+        array(|a| sums[a].numbers())
+    }
+
+    /// Those of all fields at the points of the boundary.
+    pub(super) fn sums_of_points(&self, y: &[f64]) -> Vec<[Record; F]> {
+        let mut sums = vec![[[0.0; MOST]; F]; self.points()];
+        run_parts(&SumsOfPoints { flow: self, y }, sums.chunks_mut(TOGETHER));
+        sums
+    }
+
     /// The acceleration at a point that the pressure balances, component by component, given the sums of the velocities there.
-    pub(super) fn unbalanced(&self, y: &[f64], i: usize, of: &[[f64; F]; D], acceleration: [f64; D]) -> [f64; D] {
-        let (medium, own) = (&self.medium, |f: usize| y[field(F, i, f)]);
+    pub(super) fn unbalanced(&self, y: &[f64], i: usize, of: &[Record; F], acceleration: [f64; D]) -> [f64; D] {
+        let (medium, own) = (&self.medium, |f: usize| y[Self::at(i, f)]);
         std::array::from_fn(|e| {
-            let carried: f64 = (0..D).map(|d| own(d) * of[e][d]).sum();
+            let carried: f64 = (0..D).map(|d| own(d) * of[d][e]).sum();
             let lift = medium.fluid.buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, own(D + 1)));
-            medium.fluid.viscosity * of[e][D] + medium.fluid.force[e] + lift - carried - acceleration[e]
+            medium.fluid.viscosity * of[D][e] + medium.fluid.force[e] + lift - carried - acceleration[e]
         })
     }
 
@@ -344,7 +397,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             let through = |u: [f64; D]| -share * (0..D).map(|e| condition.normal[e] * u[e]).sum::<f64>();
             match condition.motion {
                 Motion::Given(given) => through(given),
-                Motion::Outflow(_) => through(std::array::from_fn(|e| y[field(F, inside + k, e)])),
+                Motion::Outflow(_) => through(std::array::from_fn(|e| y[Self::at(inside + k, e)])),
                 Motion::Symmetry(_) => 0.0,
             }
         };
@@ -355,8 +408,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     pub(super) fn centre(&self, y: &mut [f64]) {
         if self.floats {
             let inside = self.medium.inside;
-            let mean = (0..inside).map(|i| y[field(F, i, D)]).sum::<f64>() / inside as f64;
-            (0..inside).for_each(|i| y[field(F, i, D)] -= mean);
+            let mean = (0..inside).map(|i| y[Self::at(i, D)]).sum::<f64>() / inside as f64;
+            (0..inside).for_each(|i| y[Self::at(i, D)] -= mean);
         }
     }
 
@@ -369,7 +422,9 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         for f in (0..D).chain(after) {
             let edge = &self.edges[f];
             let outlet = if f == D { self.outlet(y, &walls.conditions) } else { 0.0 };
-            (0..points).for_each(|k| y[field(F, inside + k, f)] = 0.0);
+            (0..points).for_each(|k| y[Self::at(inside + k, f)] = 0.0);
+            // The pressure's need those of the velocities as well.
+            let sums = if f == D { self.sums_of_points(y) } else { vec![] };
             let right = |k: usize| {
                 let (i, condition) = (inside + k, &walls.conditions[k]);
                 let Some(weights) = edge.rows[k] else {
@@ -379,13 +434,12 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
                         _ => outlet,
                     };
                 };
-                let sums = self.sums(y, i, f);
-                let of_others: f64 = weights.iter().zip(&sums).map(|(weight, sum)| weight * sum).sum();
+                let own = sums.get(k).map_or_else(|| self.sums(y, i, f), |of| array(|a| of[a][f]));
+                let of_others: f64 = weights.iter().zip(&own).map(|(weight, sum)| weight * sum).sum();
                 let wanted = match (f, condition.warmth) {
                     (f, Warmth::Flux(flux)) if f > D => -flux / self.medium.fluid.diffusivity.unwrap_or(1.0),
                     (f, _) if f == D => {
-                        let of: [[f64; F]; D] = std::array::from_fn(|e| self.sums(y, i, e));
-                        let unbalanced = self.unbalanced(y, i, &of, walls.acceleration[k]);
+                        let unbalanced = self.unbalanced(y, i, &sums[k], walls.acceleration[k]);
                         (0..D).map(|e| condition.normal[e] * unbalanced[e]).sum()
                     }
                     _ => 0.0,
@@ -393,24 +447,22 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
                 wanted - of_others
             };
             let found = edge.solve((0..points).map(right).collect(), false);
-            found.into_iter().enumerate().for_each(|(k, value)| y[field(F, inside + k, f)] = value);
+            found.into_iter().enumerate().for_each(|(k, value)| y[Self::at(inside + k, f)] = value);
         }
     }
 
-    /// A state as fields of blocks.
+    /// A state's fields, one particle after another.
     pub(super) fn packed(&self, state: &State<F>) -> Vec<f64> {
-        let n = self.medium.fits.all.particles;
-        let mut y = vec![0.0; blocks(n) * F * WIDEST];
+        let mut y = vec![0.0; self.medium.fits.all.particles * Self::WIDTH];
         for (f, values) in state.fields.iter().enumerate() {
-            values.iter().enumerate().for_each(|(i, value)| y[field(F, i, f)] = *value);
+            values.iter().enumerate().for_each(|(i, value)| y[Self::at(i, f)] = *value);
         }
         y
     }
 
-    /// The state of fields of blocks.
+    /// The state of such fields.
     pub(super) fn unpacked(&self, y: &[f64]) -> State<F> {
-        let n = self.medium.fits.all.particles;
-        let fields = std::array::from_fn(|f| (0..n).map(|i| y[field(F, i, f)]).collect());
+        let fields = std::array::from_fn(|f| y.chunks_exact(Self::WIDTH).map(|own| own[f]).collect());
         State { fields, lambda: 0.0, drive: 0.0 }
     }
 
@@ -432,8 +484,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         boundary: &dyn InTime<D, F, C>,
         look: &mut dyn FnMut(&[f64]),
     ) -> Vec<f64> {
-        let width = F * WIDEST;
-        let count = blocks(self.medium.inside) * width;
+        let count = self.medium.inside * Self::WIDTH;
         let (mut sum, mut now, mut next) = (vec![0.0; count], z.clone(), z.clone());
         let [middle, end] = self.walls_of_part(boundary, (time, dt));
         for (s, (at, weight)) in STAGES.into_iter().enumerate() {
@@ -443,8 +494,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             }
             look(&now);
             let ahead = STAGES.get(s + 1).map(|(at, _)| at * dt);
-            let kernel = Rates { flow: self, now: &now, start: &z, weight: weight * dt, ahead };
-            run_parts(&kernel, sum.chunks_exact_mut(width).zip(next[..count].chunks_exact_mut(width)));
+            let rates = Rates { flow: self, now: &now, start: &z, weight: weight * dt, ahead };
+            rates.run(&mut sum, &mut next[..count]);
         }
         self.fill(&mut next, &end);
         next
@@ -507,7 +558,59 @@ pub fn sizes(control: Control, spacing: &[f64]) -> Vec<f64> {
     vec![end / count; count as usize]
 }
 
-/// A stage: the rates of the particles of a block are added to the sum, and the next stage begins with the start and some of them.
+/// Numbers of a particle's fields, zeros behind them.
+pub(super) type Record = [f64; MOST];
+
+/// The first `FIELDS` fields of a particle, four or eight, in vectors of L.
+#[derive(Clone, Copy)]
+pub(super) struct Vectors<L, const FIELDS: usize>([L; MOST]);
+
+impl<L: Lanes<Real = f64>, const FIELDS: usize> Vectors<L, FIELDS> {
+    /// As many are used as there are fields.
+    const COUNT: usize = FIELDS / L::COUNT;
+
+    #[inline(always)]
+    pub fn zero() -> Self {
+        Self([L::zero(); MOST])
+    }
+
+    #[inline(always)]
+    pub fn load(from: &[f64], place: usize) -> Self {
+        let from = &from[place..][..FIELDS];
+        // SAFETY: FIELDS numbers are there.
+        Self(array(|q| if q < Self::COUNT { unsafe { L::load(from.as_ptr().add(q * L::COUNT)) } } else { L::zero() }))
+    }
+
+    #[inline(always)]
+    pub fn minus(&self, other: &Self) -> Self {
+        Self(array(|q| if q < Self::COUNT { self.0[q] - other.0[q] } else { L::zero() }))
+    }
+
+    /// Adds a multiple of others.
+    #[inline(always)]
+    pub fn add(&mut self, factor: f64, other: &Self) {
+        (0..Self::COUNT).for_each(|q| self.0[q] = other.0[q].mul_add(L::splat(factor), self.0[q]));
+    }
+
+    /// Adds itself to numbers.
+    #[inline(always)]
+    pub fn add_to(&self, to: &mut [f64], place: usize) {
+        let own = Self::load(to, place);
+        let to = &mut to[place..][..FIELDS];
+        // SAFETY: FIELDS numbers are there.
+        (0..Self::COUNT).for_each(|q| unsafe { (own.0[q] + self.0[q]).store(to.as_mut_ptr().add(q * L::COUNT)) });
+    }
+
+    #[inline(always)]
+    pub fn numbers(&self) -> Record {
+        let mut numbers = [0.0; MOST];
+        // SAFETY: there are at most MOST.
+        (0..Self::COUNT).for_each(|q| unsafe { self.0[q].store(numbers.as_mut_ptr().add(q * L::COUNT)) });
+        numbers
+    }
+}
+
+/// A stage: the rates of particles are added to the sum, and the next stage begins with the start and some of them.
 struct Rates<'a, const D: usize, const F: usize, const C: usize> {
     flow: &'a WithSound<'a, D, F, C>,
     now: &'a [f64],
@@ -517,59 +620,78 @@ struct Rates<'a, const D: usize, const F: usize, const C: usize> {
     ahead: Option<f64>,
 }
 
+impl<const D: usize, const F: usize, const C: usize> Rates<'_, D, F, C> {
+    fn run(&self, sum: &mut [f64], next: &mut [f64]) {
+        let size = TOGETHER * WithSound::<D, F, C>::WIDTH;
+        run_parts(self, sum.chunks_mut(size).zip(next.chunks_mut(size)));
+    }
+
+    /// The rates of a particle.
+    #[inline(always)]
+    fn of<L: Lanes<Real = f64>, const FIELDS: usize>(&self, i: usize) -> Record {
+        let (flow, fluid) = (self.flow, &self.flow.medium.fluid);
+        let own = &self.now[WithSound::<D, F, C>::at(i, 0)..][..F];
+        let sums = flow.all_sums::<L, FIELDS>(self.now, i);
+        let (diffusion, mut rate) = (flow.diffusion(), [0.0; MOST]);
+        for f in 0..F.min(FIELDS) {
+            rate[f] = diffusion[f] * sums[D][f];
+            (0..D).for_each(|d| rate[f] -= own[d] * sums[d][f]);
+        }
+        let mut divergence = 0.0;
+        for e in 0..D {
+            divergence += sums[e][e];
+            rate[e] += fluid.force[e] - sums[e][D];
+            if let Some(buoyancy) = fluid.buoyancy {
+                rate[e] += buoyancy.by[e] * (own[D + 1] - buoyancy.at);
+            }
+        }
+        rate[D] = flow.damping[i] * sums[D + 1][D] - flow.medium.sound * flow.medium.sound * divergence;
+        rate
+    }
+}
+
 impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rates<'a, D, F, C> {
-    /// The sum and the next stage, `[F, WIDEST]`.
+    /// The sum and the next stage, `[particles, WIDTH]`.
     type Part = (&'a mut [f64], &'a mut [f64]);
+    const FEW: bool = true;
 
     #[inline(always)]
-    fn part<L: Lanes<Real = f64>>(&self, block: usize, (sum, next): &mut Self::Part) {
-        let WithSound { medium, table, list, damping, .. } = self.flow;
-        let stencils = &medium.fits.all;
-        let fields = if medium.fluid.diffusivity.is_some() { F } else { F - 1 };
-        let (first, count) = (stencils.row(block * WIDEST, 0), stencils.count(block * WIDEST));
-        let square = L::splat(medium.sound * medium.sound);
-        for l in (0..WIDEST).step_by(L::COUNT) {
-            let mut own = [L::zero(); F];
-            (0..F).for_each(|f| own[f] = L::load_part(&self.now[(block * F + f) * WIDEST + l..]));
-            let (mut slope, mut second) = ([[L::zero(); D]; F], [L::zero(); F]);
-            for k in first..first + count {
-                let mut c = [L::zero(); F];
-                (0..F).for_each(|a| c[a] = L::load_part(&table[(k * F + a) * WIDEST + l..]));
-                for f in 0..fields {
-                    // SAFETY: the list names where fields of particles begin, and each has F of them.
-                    let other =
-                        unsafe { L::gather(self.now.as_ptr().add(f * WIDEST), list.as_ptr().add(k * WIDEST + l)) };
-                    let difference = other - own[f];
-                    (0..D).for_each(|d| slope[f][d] = c[d].mul_add(difference, slope[f][d]));
-                    second[f] = c[if f == D { D + 1 } else { D }].mul_add(difference, second[f]);
-                }
+    fn part<L: Lanes<Real = f64>>(&self, number: usize, (sum, next): &mut Self::Part) {
+        let width = WithSound::<D, F, C>::WIDTH;
+        let all = sum.chunks_exact_mut(width).zip(next.chunks_exact_mut(width)).enumerate();
+        for (k, (sum, next)) in all {
+            let i = number * TOGETHER + k;
+            let rate = match self.flow.has_few() {
+                true => self.of::<L, FOUR>(i),
+                false => self.of::<L, MOST>(i),
+            };
+            let start = &self.start[i * width..][..width];
+            for f in 0..width {
+                sum[f] += self.weight * rate[f];
+                next[f] = start[f] + self.ahead.map_or(sum[f], |ahead| ahead * rate[f]);
             }
-            let mut rate = [L::zero(); F];
-            for f in (0..fields).filter(|f| *f != D) {
-                let factor = if f < D { medium.fluid.viscosity } else { medium.fluid.diffusivity.unwrap_or(0.0) };
-                rate[f] = L::splat(factor) * second[f];
-                (0..D).for_each(|d| rate[f] = rate[f] - own[d] * slope[f][d]);
-            }
-            let mut divergence = L::zero();
-            for e in 0..D {
-                divergence += slope[e][e];
-                rate[e] = rate[e] + L::splat(medium.fluid.force[e]) - slope[D][e];
-                if let Some(buoyancy) = medium.fluid.buoyancy {
-                    rate[e] += L::splat(buoyancy.by[e]) * (own[D + 1] - L::splat(buoyancy.at));
-                }
-            }
-            rate[D] = L::load_part(&damping[block * WIDEST + l..]) * second[D] - square * divergence;
-            for f in 0..F {
-                let at = f * WIDEST + l;
-                let total = L::splat(self.weight).mul_add(rate[f], L::load_part(&sum[at..]));
-                let start = L::load_part(&self.start[block * F * WIDEST + at..]);
-                let then = self.ahead.map_or(start + total, |ahead| L::splat(ahead).mul_add(rate[f], start));
-                // SAFETY: COUNT lanes from l on are within the row of WIDEST.
-                unsafe {
-                    total.store(sum[at..at + L::COUNT].as_mut_ptr());
-                    then.store(next[at..at + L::COUNT].as_mut_ptr());
-                }
-            }
+        }
+    }
+}
+
+/// The sums of points of the boundary.
+struct SumsOfPoints<'a, const D: usize, const F: usize, const C: usize> {
+    flow: &'a WithSound<'a, D, F, C>,
+    y: &'a [f64],
+}
+
+impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for SumsOfPoints<'a, D, F, C> {
+    type Part = &'a mut [[Record; F]];
+    const FEW: bool = true;
+
+    #[inline(always)]
+    fn part<L: Lanes<Real = f64>>(&self, number: usize, part: &mut Self::Part) {
+        for (k, sums) in part.iter_mut().enumerate() {
+            let i = self.flow.medium.inside + number * TOGETHER + k;
+            *sums = match self.flow.has_few() {
+                true => self.flow.all_sums::<L, FOUR>(self.y, i),
+                false => self.flow.all_sums::<L, MOST>(self.y, i),
+            };
         }
     }
 }

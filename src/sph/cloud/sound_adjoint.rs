@@ -12,12 +12,11 @@
 //! and stages within each step.
 
 use super::equations::{Bar, Motion, State, Warmth};
-use super::fit::{blocks, field};
 use super::fit_adjoint::PairCotangents;
-use super::sound::{Walls, WithSound, STAGES, START};
+use super::sound::{Record, Vectors, Walls, WithSound, FOUR, MOST, STAGES, START};
 use super::unsteady::InTime;
 use super::unsteady_adjoint::{segments, Cotangents};
-use crate::numerics::lanes::{Lanes, WIDEST};
+use crate::numerics::lanes::{array, Lanes};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::quadratic;
 use std::ops::Range;
@@ -45,54 +44,42 @@ struct Found<const D: usize, const F: usize, const C: usize> {
     bar: Bar<D, F, C>,
 }
 
-/// Cotangents of the sums of each field at a particle: `[field][sum]`.
-type Weights<const F: usize> = [[f64; F]; F];
+/// Cotangents of the sums of each field at a particle: `[sum][field]`.
+type Weights<const F: usize> = [Record; F];
 
 impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
     /// Adds what sums at particle i make of fields and of coefficients, given their cotangents.
     fn spread(&self, y: &[f64], i: usize, weights: &Weights<F>, y_bar: &mut [f64], pairs: &mut [f64]) {
-        let stencils = &self.medium.fits.all;
-        let fields = if self.has_heat() { F } else { F - 1 };
-        let mut own_bar = [0.0; F];
-        for k in 0..stencils.count(i) {
-            let (begin, c) = (self.begin(i, k), self.pair(i, k));
-            let mut c_bar = [0.0; F];
-            for f in 0..fields {
-                let along: f64 = weights[f].iter().zip(&c).map(|(weight, c)| weight * c).sum();
-                y_bar[begin + f * WIDEST] += along;
-                own_bar[f] += along;
+        // Most often the sums of one field alone have any.
+        for f in (0..self.fields()).filter(|&f| weights.iter().any(|of| of[f] != 0.0)) {
+            let (own, mut own_bar) = (Self::at(i, f), 0.0);
+            for pair in self.pairs(i) {
+                let other = Self::at(self.list[pair] as usize, f);
+                let along: f64 = weights.iter().zip(self.pair(pair)).map(|(weight, c)| weight[f] * c).sum();
+                y_bar[other] += along;
+                own_bar += along;
                 if !pairs.is_empty() {
-                    let difference = y[begin + f * WIDEST] - y[field(F, i, f)];
-                    (0..F).for_each(|a| c_bar[a] += weights[f][a] * difference);
+                    let difference = y[other] - y[own];
+                    (0..F).for_each(|a| pairs[pair * F + a] += weights[a][f] * difference);
                 }
             }
-            if !pairs.is_empty() {
-                let first = stencils.row(i, k) * F * WIDEST + i % WIDEST;
-                (0..F).for_each(|a| pairs[first + a * WIDEST] += c_bar[a]);
-            }
+            y_bar[own] -= own_bar;
         }
-        (0..fields).for_each(|f| y_bar[field(F, i, f)] -= own_bar[f]);
     }
 
     /// Adds what the rates of particles inside make of a stage's fields, given their cotangents `rate_bar`, in the fields' order.
     fn rates_back(&self, y: &[f64], rate_bar: &[f64], y_bar: &mut [f64], found: &mut Found<D, F, C>) {
-        let stencils = &self.medium.fits.all;
-        let count = blocks(self.medium.inside);
+        let count = self.medium.inside;
         let share = count.div_ceil(PARTS);
         let mut rest = found.pairs.as_mut_slice();
         let (mut parts, mut tables) = (vec![], vec![]);
         for number in 0..PARTS {
             let (from, to) = ((number * share).min(count), ((number + 1) * share).min(count));
-            let rows = if to > from {
-                stencils.row(to * WIDEST - 1, 0) + stencils.count(to * WIDEST - 1) - stencils.row(from * WIDEST, 0)
-            } else {
-                0
-            };
-            let size = if rest.is_empty() { 0 } else { rows * F * WIDEST };
+            let size = if rest.is_empty() { 0 } else { (self.first[to] - self.first[from]) * F };
             let (pairs, others) = rest.split_at_mut(size);
             rest = others;
             tables.push(pairs);
-            parts.push(Part { blocks: from..to, y_bar: vec![0.0; y_bar.len()], viscosity: 0.0 });
+            parts.push(Part { particles: from..to, y_bar: vec![0.0; y_bar.len()], viscosity: 0.0 });
         }
         run_parts(&RatesBack { flow: self, y, rate_bar }, parts.iter_mut().zip(tables));
         for part in parts {
@@ -116,8 +103,9 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         let before = self.has_heat().then_some(D + 1).into_iter().chain(0..D);
         for f in [D].into_iter().chain(before) {
             let edge = &self.edges[f];
-            let own = (0..points).map(|k| y_bar[field(F, inside + k, f)]).collect();
+            let own = (0..points).map(|k| y_bar[Self::at(inside + k, f)]).collect();
             let mu = edge.solve(own, true);
+            let sums = if f == D { self.sums_of_points(y) } else { vec![] };
             let mut outlet = 0.0;
             for (k, mu) in mu.into_iter().enumerate() {
                 let (i, condition) = (inside + k, &walls.conditions[k]);
@@ -129,11 +117,11 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                     }
                     continue;
                 };
-                let mut weights: Weights<F> = [[0.0; F]; F];
-                (0..F).for_each(|a| weights[f][a] -= mu * row[a]);
+                let mut weights: Weights<F> = [[0.0; MOST]; F];
+                (0..F).for_each(|a| weights[a][f] -= mu * row[a]);
                 if f >= D {
-                    let sums = self.sums(y, i, f);
-                    (0..D).for_each(|d| found.bar.boundary[k].normal[d] -= mu * sums[d]);
+                    let own = sums.get(k).map_or_else(|| self.sums(y, i, f), |of| array(|a| of[a][f]));
+                    (0..D).for_each(|d| found.bar.boundary[k].normal[d] -= mu * own[d]);
                 }
                 match condition.warmth {
                     Warmth::Flux(_) if f > D => {
@@ -142,27 +130,27 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                     _ => {}
                 }
                 if f == D {
-                    let of: [[f64; F]; D] = std::array::from_fn(|e| self.sums(y, i, e));
-                    let unbalanced = self.unbalanced(y, i, &of, walls.acceleration[k]);
+                    let of = &sums[k];
+                    let unbalanced = self.unbalanced(y, i, of, walls.acceleration[k]);
                     for e in 0..D {
                         let rho = mu * condition.normal[e];
                         found.bar.boundary[k].normal[e] += mu * unbalanced[e];
-                        found.all.bar.viscosity += of[e][D] * rho;
-                        weights[e][D] += medium.fluid.viscosity * rho;
+                        found.all.bar.viscosity += of[D][e] * rho;
+                        weights[D][e] += medium.fluid.viscosity * rho;
                         acceleration_bar[k][e] -= rho;
                         for d in 0..D {
-                            weights[e][d] -= y[field(F, i, d)] * rho;
-                            y_bar[field(F, i, d)] -= of[e][d] * rho;
+                            weights[d][e] -= y[Self::at(i, d)] * rho;
+                            y_bar[Self::at(i, d)] -= of[d][e] * rho;
                         }
                         if let Some(buoyancy) = medium.fluid.buoyancy {
-                            y_bar[field(F, i, D + 1)] += buoyancy.by[e] * rho;
+                            y_bar[Self::at(i, D + 1)] += buoyancy.by[e] * rho;
                         }
                     }
                 }
                 self.spread(y, i, &weights, y_bar, &mut found.pairs);
             }
             // What the points of the boundary are of each other is in the solution.
-            (0..points).for_each(|k| y_bar[field(F, inside + k, f)] = 0.0);
+            (0..points).for_each(|k| y_bar[Self::at(inside + k, f)] = 0.0);
             for (k, share) in self.shares.iter().enumerate().filter(|_| f == D) {
                 let (condition, rho) = (&walls.conditions[k], -medium.sound * share * outlet);
                 let bar = &mut found.bar.boundary[k];
@@ -172,7 +160,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                             bar.velocity[e] += rho * condition.normal[e];
                             bar.normal[e] += rho * given[e];
                         }
-                        Motion::Outflow(_) => y_bar[field(F, inside + k, e)] += rho * condition.normal[e],
+                        Motion::Outflow(_) => y_bar[Self::at(inside + k, e)] += rho * condition.normal[e],
                         Motion::Symmetry(_) => {}
                     }
                 }
@@ -218,7 +206,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         let step = 0.5 * dt;
         let [middle, end] = self.walls_of_part(boundary, (time, dt));
         self.fill_back(&states[STAGES.len()], (time + dt, step), (boundary, &end), &mut after, found);
-        let count = blocks(self.medium.inside) * F * WIDEST;
+        let count = self.medium.inside * Self::WIDTH;
         // z+ = z + sum of weighted rates; behind the last stage no other begins with its rates.
         let mut before = after.clone();
         let mut of_next: Option<(f64, Vec<f64>)> = None;
@@ -327,10 +315,12 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         let Found { pairs, mut all, .. } = found;
         all.start = flow.unpacked(&y_bar).fields;
         // The Laplacian is a sum of second derivatives.
-        for (row, of) in pairs.chunks_exact(F * WIDEST).enumerate() {
-            let second = (0..D).map(|a| (quadratic(D, a, a), D));
-            for (c, from) in (0..D).map(|d| (d, d)).chain(second).chain([(C - 1, D + 1)]) {
-                of_figures.add_row(row, c, &of[from * WIDEST..][..WIDEST]);
+        for i in (0..n).filter(|_| self.by_positions) {
+            for (k, pair) in flow.pairs(i).enumerate() {
+                let second = (0..D).map(|a| (quadratic(D, a, a), D));
+                for (c, from) in (0..D).map(|d| (d, d)).chain(second).chain([(C - 1, D + 1)]) {
+                    *of_figures.of_pair(stencils, (i, k), c) += pairs[pair * F + from];
+                }
             }
         }
         (medium.by_pairs)(&medium.fits, medium.position, of_figures, &mut all.position);
@@ -354,11 +344,11 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         let (medium, state) = (&flow.medium, flow.unpacked(y));
         found.bar.clear();
         figures(k, &state, &mut found.bar);
-        let fields = if flow.has_heat() { F } else { F - 1 };
+        let fields = flow.fields();
         for f in 0..fields {
             let mut own = found.bar.fields[f].clone();
             medium.operators.pull_back(&medium.fits.all, &found.bar.derivatives.0[f], &mut own);
-            own.iter().enumerate().for_each(|(i, bar)| y_bar[field(F, i, f)] += bar);
+            own.iter().enumerate().for_each(|(i, bar)| y_bar[WithSound::<D, F, C>::at(i, f)] += bar);
         }
         let all: Vec<&[f64]> = state.fields[..fields].iter().map(Vec::as_slice).collect();
         pairs.add(&medium.fits.all, &all, &found.bar.derivatives.0[..fields]);
@@ -376,104 +366,93 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
 /// Parts of the particles whose sums are apart from each other, for any number of threads.
 const PARTS: usize = 4;
 
-/// What some blocks of particles make of all.
+/// What some particles make of all.
 struct Part {
-    blocks: Range<usize>,
+    particles: Range<usize>,
     y_bar: Vec<f64>,
     viscosity: f64,
 }
 
-/// The transposed rates of blocks.
+/// The transposed rates of particles.
 struct RatesBack<'a, const D: usize, const F: usize, const C: usize> {
     flow: &'a WithSound<'a, D, F, C>,
     y: &'a [f64],
     rate_bar: &'a [f64],
 }
 
+impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
+    /// The cotangents of the sums of a particle and of its own fields, and what its rates make of that of the viscosity.
+    #[inline(always)]
+    fn weights<L: Lanes<Real = f64>, const FIELDS: usize>(&self, i: usize) -> (Weights<F>, Record, f64) {
+        let (flow, fluid) = (self.flow, &self.flow.medium.fluid);
+        let at = WithSound::<D, F, C>::at(i, 0);
+        let (own, rho) = (&self.y[at..][..F], &self.rate_bar[at..][..F]);
+        let sums = flow.all_sums::<L, FIELDS>(self.y, i);
+        let (diffusion, mut viscosity) = (flow.diffusion(), 0.0);
+        let (mut weights, mut own_bar): (Weights<F>, Record) = ([[0.0; MOST]; F], [0.0; MOST]);
+        for f in (0..F.min(FIELDS)).filter(|&f| f != D) {
+            weights[D][f] = diffusion[f] * rho[f];
+            for d in 0..D {
+                weights[d][f] = -own[d] * rho[f];
+                own_bar[d] -= sums[d][f] * rho[f];
+            }
+        }
+        for e in 0..D {
+            viscosity += sums[D][e] * rho[e];
+            weights[e][D] = -rho[e];
+            weights[e][e] -= flow.medium.sound * flow.medium.sound * rho[D];
+            if let Some(buoyancy) = fluid.buoyancy {
+                own_bar[D + 1] += buoyancy.by[e] * rho[e];
+            }
+        }
+        weights[D + 1][D] = flow.damping[i] * rho[D];
+        (weights, own_bar, viscosity)
+    }
+
+    /// `SUMS`: F, rounded up to whole vectors.
+    #[inline(always)]
+    fn of<L: Lanes<Real = f64>, const FIELDS: usize, const SUMS: usize>(&self, part: &mut Part, pairs: &mut [f64]) {
+        let (flow, at) = (self.flow, WithSound::<D, F, C>::at);
+        let start = flow.first[part.particles.start];
+        for i in part.particles.clone() {
+            let (weights, own_bar, viscosity) = self.weights::<L, FIELDS>(i);
+            part.viscosity += viscosity;
+            let by_sum: [Vectors<L, FIELDS>; F] = array(|a| Vectors::load(&weights[a], 0));
+            // What the cotangents of a pair's coefficients get of each field's difference.
+            let by_field: [Vectors<L, SUMS>; F] =
+                array(|f| Vectors::load(&array::<f64, SUMS>(|a| if a < F { weights[a][f] } else { 0.0 }), 0));
+            let mut total = Vectors::<L, FIELDS>::load(&own_bar, 0);
+            for pair in flow.pairs(i) {
+                let (other, c) = (at(flow.list[pair] as usize, 0), flow.pair(pair));
+                let mut along = Vectors::<L, FIELDS>::zero();
+                (0..F).for_each(|a| along.add(c[a], &by_sum[a]));
+                along.add_to(&mut part.y_bar, other);
+                total = total.minus(&along);
+                if !pairs.is_empty() {
+                    let mut c_bar = Vectors::<L, SUMS>::zero();
+                    for f in 0..F.min(FIELDS) {
+                        c_bar.add(self.y[other + f] - self.y[at(i, f)], &by_field[f]);
+                    }
+                    let to = &mut pairs[(pair - start) * F..][..F];
+                    to.iter_mut().zip(c_bar.numbers()).for_each(|(to, more)| *to += more);
+                }
+            }
+            total.add_to(&mut part.y_bar, at(i, 0));
+        }
+    }
+}
+
 impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for RatesBack<'a, D, F, C> {
-    /// And the cotangents of the blocks' own pairs, or nothing.
+    /// And the cotangents of the particles' own pairs, or nothing.
     type Part = (&'a mut Part, &'a mut [f64]);
+    const FEW: bool = true;
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, _: usize, (part, pairs): &mut Self::Part) {
-        let WithSound { medium, table, list, damping, .. } = self.flow;
-        let (stencils, y) = (&medium.fits.all, self.y);
-        let fields = if medium.fluid.diffusivity.is_some() { F } else { F - 1 };
-        let start = stencils.row(part.blocks.start * WIDEST, 0);
-        for block in part.blocks.clone() {
-            let (first, count) = (stencils.row(block * WIDEST, 0), stencils.count(block * WIDEST));
-            for l in (0..WIDEST).step_by(L::COUNT) {
-                let at = |f: usize| (block * F + f) * WIDEST + l;
-                let (mut own, mut rho) = ([L::zero(); F], [L::zero(); F]);
-                for f in 0..F {
-                    own[f] = L::load_part(&y[at(f)..]);
-                    rho[f] = L::load_part(&self.rate_bar[at(f)..]);
-                }
-                let difference = |k: usize, f: usize| {
-                    // SAFETY: the list names where fields of particles begin, and each has F of them.
-                    unsafe { L::gather(y.as_ptr().add(f * WIDEST), list.as_ptr().add(k * WIDEST + l)) - own[f] }
-                };
-                let coefficient = |k: usize, a: usize| L::load_part(&table[(k * F + a) * WIDEST + l..]);
-                let mut sums = [[L::zero(); F]; F];
-                for k in first..first + count {
-                    for f in (0..fields).filter(|f| *f != D) {
-                        let of = difference(k, f);
-                        (0..=D).for_each(|a| sums[f][a] = coefficient(k, a).mul_add(of, sums[f][a]));
-                    }
-                }
-                // Of the sums of each field, and of the particle's own fields.
-                let (mut weights, mut own_bar) = ([[L::zero(); F]; F], [L::zero(); F]);
-                let mut viscosity = L::zero();
-                for f in (0..fields).filter(|f| *f != D) {
-                    let factor = if f < D { medium.fluid.viscosity } else { medium.fluid.diffusivity.unwrap_or(0.0) };
-                    weights[f][D] = L::splat(factor) * rho[f];
-                    for d in 0..D {
-                        weights[f][d] = -(own[d] * rho[f]);
-                        own_bar[d] = own_bar[d] - sums[f][d] * rho[f];
-                    }
-                }
-                for e in 0..D {
-                    viscosity += sums[e][D] * rho[e];
-                    weights[D][e] = -rho[e];
-                    weights[e][e] = weights[e][e] - L::splat(medium.sound * medium.sound) * rho[D];
-                    if let Some(buoyancy) = medium.fluid.buoyancy {
-                        own_bar[D + 1] += L::splat(buoyancy.by[e]) * rho[e];
-                    }
-                }
-                weights[D][D + 1] = L::load_part(&damping[block * WIDEST + l..]) * rho[D];
-                part.viscosity += viscosity.sum();
-                for k in first..first + count {
-                    let mut c = [L::zero(); F];
-                    (0..F).for_each(|a| c[a] = coefficient(k, a));
-                    let mut c_bar = [L::zero(); F];
-                    let others = &list[k * WIDEST + l..][..L::COUNT];
-                    for f in 0..fields {
-                        let mut along = L::zero();
-                        (0..F).for_each(|a| along = weights[f][a].mul_add(c[a], along));
-                        own_bar[f] = own_bar[f] - along;
-                        for (&begin, along) in others.iter().zip(along.numbers()) {
-                            part.y_bar[begin as usize + f * WIDEST] += along;
-                        }
-                        if !pairs.is_empty() {
-                            let of = difference(k, f);
-                            (0..F).for_each(|a| c_bar[a] = weights[f][a].mul_add(of, c_bar[a]));
-                        }
-                    }
-                    if !pairs.is_empty() {
-                        for (a, more) in c_bar.into_iter().enumerate() {
-                            let to = &mut pairs[((k - start) * F + a) * WIDEST + l..][..L::COUNT];
-                            let sum = L::load_part(to) + more;
-                            // SAFETY: the slice has COUNT numbers.
-                            unsafe { sum.store(to.as_mut_ptr()) };
-                        }
-                    }
-                }
-                for (f, bar) in own_bar.into_iter().enumerate() {
-                    for (to, more) in part.y_bar[at(f)..][..L::COUNT].iter_mut().zip(bar.numbers()) {
-                        *to += more;
-                    }
-                }
-            }
+        match self.flow.has_few() {
+            true if F <= FOUR => self.of::<L, FOUR, FOUR>(part, pairs),
+            true => self.of::<L, FOUR, MOST>(part, pairs),
+            false => self.of::<L, MOST, MOST>(part, pairs),
         }
     }
 }
