@@ -220,16 +220,16 @@ fn with_ending(stem: &Path, ending: &str) -> PathBuf {
 pub fn averaged(pixels: &[u8], width: usize) -> Vec<u8> {
     let row = 3 * width;
     let mut smooth = Vec::with_capacity(pixels.len() / (SMOOTHING * SMOOTHING));
+    let mut columns = vec![0_u16; row];
     for rows in pixels.chunks_exact(row * SMOOTHING) {
-        for column in (0..width).step_by(SMOOTHING) {
+        columns.fill(0);
+        for one in rows.chunks_exact(row) {
+            columns.iter_mut().zip(one).for_each(|(sum, &value)| *sum += u16::from(value));
+        }
+        for square in columns.chunks_exact(3 * SMOOTHING) {
             for channel in 0..3 {
-                let sum: u32 = (0..SMOOTHING * SMOOTHING)
-                    .map(|index| {
-                        let (dy, dx) = (index / SMOOTHING, index % SMOOTHING);
-                        u32::from(rows[dy * row + 3 * (column + dx) + channel])
-                    })
-                    .sum();
-                smooth.push((sum / (SMOOTHING * SMOOTHING) as u32) as u8);
+                let sum: u16 = (0..SMOOTHING).map(|dx| square[3 * dx + channel]).sum();
+                smooth.push((sum / (SMOOTHING * SMOOTHING) as u16) as u8);
             }
         }
     }
