@@ -25,7 +25,7 @@ Examples:
   hydrograd bench scaling --sizes 100^2,1000^2,40^3 --filter /f32/2/
       Taylor-Green vortices of three sizes; rows whose label contains the text
   hydrograd bench step my.toml --set time.steps=400 --repeats 9
-      a scene of your own
+      a scene of your own (a gradient is that of a scene with a design)
   hydrograd bench step --compare runs/before/bench.json --out runs/after
       ratios against an earlier run
   hydrograd bench kernels --threads 2
@@ -103,7 +103,10 @@ impl BenchArguments {
                 return Err(BadInput::new(format!("`{word}` is a second scene"))
                     .place(format!("bench {}", self.words.join(" ")))
                     .allowed("groups and at most one scene"));
-            } else if builtin::scene(word).is_some() || Path::new(word).is_file() || word.ends_with(".toml") {
+            } else if builtin::scene(word).or(builtin::example(word)).is_some()
+                || Path::new(word).is_file()
+                || word.ends_with(".toml")
+            {
                 scene = Some(word.clone());
             } else {
                 let groups: Vec<String> = Group::value_variants().iter().map(|group| group.name()).collect();

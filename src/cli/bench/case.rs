@@ -1,12 +1,11 @@
 //! The words of the bench: groups, what is run and how, a case, and what the process that measured it answers.
 
 use crate::cli::arguments::{check_preset, name_of, set_option};
-use crate::cli::prepare::require_design;
 use crate::config::device::DeviceName;
 use crate::config::layers::Setting;
 use crate::config::memory_size::MemorySize;
 use crate::config::scene::{Config, Kernels, Precision};
-use crate::error::Error;
+use crate::error::{BadInput, Error};
 use crate::scene::load::Loaded;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -104,8 +103,15 @@ impl Scene {
         let settings: Vec<Setting> = self.sets.iter().map(|text| set_option(text)).collect();
         check_preset(self.preset.as_deref())?;
         let loaded = Config::load_settings(self.scene.as_deref(), self.preset.as_deref(), &settings)?;
-        // Flows without a design are measured by `scaling` and `accuracy`.
-        require_design(&loaded.config)?;
+        let config = &loaded.config;
+        if !config.scene.has_design() && !config.method.facts().moves {
+            return Err(BadInput::at("method.name", "fixed particles of this scene have no step that is measured")
+                .allowed("particles that move, or the heated channel")
+                .advice(
+                    "--set method.name=consistent; `hydrograd simulate` prints what a step of fixed particles takes",
+                )
+                .into());
+        }
         Ok(loaded)
     }
 
@@ -176,8 +182,10 @@ impl Lacking {
         (self == Self::Walls).then_some(WALL_FREE)
     }
 
-    pub fn particles(self, config: &Config) -> usize {
-        self.size().map_or_else(|| particles(config), Size::particles)
+    /// # Errors
+    /// A scene that cannot be built.
+    pub fn particles(self, config: &Config) -> Result<usize, Error> {
+        self.size().map_or_else(|| particles(config), |size| Ok(size.particles()))
     }
 }
 
@@ -200,7 +208,7 @@ impl Kind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    Channel(Scene),
+    Scene(Scene),
     TaylorGreen(Size),
     /// A scene that lacks something: with its own plan, or with every field forced on.
     Plan {
@@ -350,7 +358,7 @@ pub struct Measured {
 impl Case {
     /// Whether a row says how far it is from what the machine can do: fused steps of flows on the CPU, and gradients that run no step twice.
     pub fn has_roofline(&self) -> bool {
-        let is_flow = matches!(self.source, Source::Channel(_) | Source::TaylorGreen(_));
+        let is_flow = matches!(self.source, Source::Scene(_) | Source::TaylorGreen(_));
         let has_groups = [Group::Step, Group::Gradient, Group::Scaling].contains(&self.group);
         let is_whole = self.kind == Kind::Forward || self.keeping == Keeping::EveryState;
         let is_fused = self.device == DeviceName::Cpu && self.kernels == Kernels::Fused;
@@ -361,7 +369,10 @@ impl Case {
 /// Or why it was left out: a gradient that does not fit into the memory that it is allowed.
 pub type Outcome = Result<Measured, String>;
 
-/// Particles of the heated channel, dummy particles included.
-pub fn particles(config: &Config) -> usize {
-    config.columns() * (config.rows() + 2 * config.channel.wall_rows)
+/// Particles of a scene, those of walls included.
+///
+/// # Errors
+/// A scene that cannot be built.
+pub fn particles(config: &Config) -> Result<usize, Error> {
+    Ok(crate::scene::Scene::<f64>::from_config(config)?.model.particles())
 }

@@ -5,6 +5,7 @@ use super::case::{
     particles, Case, Group, Keeping, Kind, Lacking, Length, Network, Scene, Size, Source, COMPOSED, EVERYTHING_ON,
     FUSED, PLAN,
 };
+use crate::cli::prepare::require_design;
 use crate::config::device::DeviceName;
 use crate::config::scene::{Kernels, Precision};
 use crate::error::Error;
@@ -52,8 +53,8 @@ impl<'a> Cases<'a> {
         Ok(families)
     }
 
-    /// The heated channels to measure with their names: the user's, or the report's and the default one.
-    fn channels(&self) -> Vec<(String, Scene)> {
+    /// The scenes to measure with their names: the user's, or the report's and the default one.
+    fn scenes(&self) -> Vec<(String, Scene)> {
         let a = self.arguments;
         let given = Scene { scene: self.scene.clone(), preset: a.preset.clone(), sets: a.sets.clone() };
         if self.scene.is_some() || a.preset.is_some() {
@@ -98,14 +99,21 @@ impl<'a> Cases<'a> {
 
     fn step(&self) -> Result<Vec<Family>, Error> {
         let mut families = vec![];
-        for (name, scene) in self.channels() {
+        for (name, scene) in self.scenes() {
             let config = scene.load()?.config;
             let quick = self.arguments.quick;
-            let base = Case {
+            let n = particles(&config)?;
+            let (warm_up, length) = match config.has_design() {
                 // The whole run from its start.
-                length: Length::Steps(if quick { config.steps().min(1000) } else { config.steps() }),
+                true => (0, Length::Steps(if quick { config.steps().min(1000) } else { config.steps() })),
+                // Others may take hours.
+                false => (warm_up(n, quick), Length::Seconds { seconds: if quick { 0.2 } else { 1.0 }, least: 16 }),
+            };
+            let base = Case {
+                warm_up,
+                length,
                 blocks: if quick { 2 } else { 3 },
-                ..self.case(Group::Step, &name, particles(&config), Source::Channel(scene))
+                ..self.case(Group::Step, &name, n, Source::Scene(scene))
             };
             families.push(self.variants(&base));
         }
@@ -116,12 +124,13 @@ impl<'a> Cases<'a> {
         let quick = self.arguments.quick;
         let mut families = vec![];
         // Only the report's channel, unless the user named a scene.
-        for (name, mut scene) in self.channels().into_iter().take(1) {
+        for (name, mut scene) in self.scenes().into_iter().take(1) {
             if quick {
                 scene = scene.with_defaults(&["time.steps=400", "objective.window=0"]);
             }
             let config = scene.load()?.config;
-            let (steps, n) = (config.steps(), particles(&config));
+            require_design(&config)?;
+            let (steps, n) = (config.steps(), particles(&config)?);
             let horizon = config.optimise.horizon.min(steps);
             let mut keepings = vec![
                 Keeping::EveryState,
@@ -140,7 +149,7 @@ impl<'a> Cases<'a> {
                 // The first gradient of a process also pays for new pages of memory (on a virtual machine up to a
                 // quarter of its time), which an optimisation does only once.
                 blocks: 2,
-                ..self.case(Group::Gradient, &name, n, Source::Channel(scene))
+                ..self.case(Group::Gradient, &name, n, Source::Scene(scene))
             };
             let modes = |variant: Case| {
                 // In f32 rounding a state does not change it.
@@ -198,7 +207,7 @@ impl<'a> Cases<'a> {
             // 3200 particles, so that the work is visible beside the threads' synchronisation.
             let dx = if quick { "resolution.dx=0.02" } else { "resolution.dx=0.01" };
             let scene = self.report().with_defaults(&[dx, "method.transport_velocity=1"]);
-            let n = lacking.particles(&scene.load()?.config);
+            let n = lacking.particles(&scene.load()?.config)?;
             for kind in [Kind::Forward, Kind::Gradient] {
                 let seconds = if quick { 0.1 } else { 0.5 };
                 let base = Case {
@@ -229,7 +238,7 @@ impl<'a> Cases<'a> {
         let config = scene.load()?.config;
         let channel = Case {
             length: Length::Steps(config.steps()),
-            ..self.case(Group::Kernels, "heated-channel", particles(&config), Source::Channel(scene))
+            ..self.case(Group::Kernels, "heated-channel", particles(&config)?, Source::Scene(scene))
         };
         let given = self.arguments.sizes.clone();
         let sizes = match given.is_empty() {

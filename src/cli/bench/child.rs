@@ -63,16 +63,22 @@ pub fn run(request: &str) -> anyhow::Result<()> {
 struct Ready<R> {
     dynamics: Sph<R>,
     start: Snapshot<R>,
-    /// The objective of a channel, which depends on the scene's number of steps.
+    /// The objective of a scene with a design, which depends on the scene's number of steps.
     outflow: Option<Arc<dyn Objective + Send>>,
 }
 
 impl<R: Sweeps> Ready<R> {
     fn new(case: &Case, source: &Source) -> Result<Self, Error> {
         let (model, start, outflow) = match source {
-            Source::Channel(scene) => {
-                let (channel, _) = build::<R>(&scene.load()?.config)?;
-                (channel.model.clone(), channel.start(&channel.first), Some(channel.objective))
+            Source::Scene(scene) => {
+                let config = scene.load()?.config;
+                if config.has_design() {
+                    let (design, _) = build::<R>(&config)?;
+                    (design.model.clone(), design.start(&design.first), Some(design.objective))
+                } else {
+                    let flow = Scene::<R>::from_config(&config)?;
+                    (flow.model, flow.start, None)
+                }
             }
             Source::TaylorGreen(size) => {
                 let (model, state) = taylor_green(*size);

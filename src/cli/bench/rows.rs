@@ -104,7 +104,8 @@ impl Row {
             scene: case.scene.clone(),
             dimension: match &case.source {
                 Source::TaylorGreen(size) => size.dimension,
-                Source::Channel(_) | Source::Plan { .. } | Source::Network(_) => 2,
+                Source::Scene(scene) => scene.load().map_or(2, |loaded| loaded.config.dimension()),
+                Source::Plan { .. } | Source::Network(_) => 2,
             },
             particles: case.particles,
             pairs: first.pairs,

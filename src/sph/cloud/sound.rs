@@ -48,7 +48,7 @@ use std::sync::Arc;
 /// tau in h / c.
 const DAMPING: f64 = 0.3;
 /// Over which part of a step velocities of walls are compared at the start.
-pub(super) const START: f64 = 0.5;
+const START: f64 = 0.5;
 /// Steps times the fastest rate of sound and viscosity. (The method of fourth order is stable up to 2.6 in all directions that decay.)
 const STABLE: f64 = 2.0;
 /// Iterations that find it.
@@ -348,7 +348,9 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         for pair in self.pairs(i) {
             let difference = Vectors::load(y, Self::at(self.list[pair] as usize, 0)).minus(&own);
             let c = self.pair(pair);
-            (0..F).for_each(|a| sums[a].add(c[a], &difference));
+            for a in 0..F {
+                sums[a].add(c[a], &difference);
+            }
         }
         array(|a| sums[a].numbers())
     }
@@ -370,23 +372,39 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         })
     }
 
-    /// The conditions at a time; `step`: over which velocities are compared.
-    pub(super) fn walls(&self, boundary: &dyn InTime<D, F, C>, time: f64, step: f64) -> Walls<'a, D> {
-        let conditions = boundary.at(time, self.medium.conditions);
+    /// The conditions at N times, `step` apart, but for the first and the last one.
+    pub(super) fn walls<const N: usize>(
+        &self,
+        boundary: &dyn InTime<D, F, C>,
+        times: [f64; N],
+        step: f64,
+    ) -> Vec<Walls<'a, D>> {
         if !boundary.changes() {
-            return Walls { conditions, acceleration: vec![[0.0; D]; self.points()] };
+            let acceleration = vec![[0.0; D]; self.points()];
+            let given = || Walls { conditions: self.medium.conditions.into(), acceleration: acceleration.clone() };
+            return (2..N).map(|_| given()).collect();
         }
-        let (up, down) = (boundary.conditions(time + step), boundary.conditions(time - step));
+        let all = times.map(|time| boundary.conditions(time));
         let of = |(up, down): (&Condition<D>, &Condition<D>)| match (up.motion, down.motion) {
             (Motion::Given(a), Motion::Given(b)) => std::array::from_fn(|e| (a[e] - b[e]) / (2.0 * step)),
             _ => [0.0; D],
         };
-        Walls { conditions, acceleration: up.iter().zip(&down).map(of).collect() }
+        let at = |three: &[Vec<Condition<D>>]| Walls {
+            acceleration: three[2].iter().zip(&three[0]).map(of).collect(),
+            conditions: Cow::Owned(three[1].clone()),
+        };
+        all.windows(3).map(at).collect()
     }
 
-    /// Those in the middle of a part of a step and at its end, where its stages are.
-    pub(super) fn walls_of_part(&self, boundary: &dyn InTime<D, F, C>, (time, dt): (f64, f64)) -> [Walls<'a, D>; 2] {
-        [0.5, 1.0].map(|at| self.walls(boundary, time + at * dt, 0.5 * dt))
+    /// When velocities of walls are looked at in a part of a step, half a part apart: its stages are at the second and third of these times.
+    pub(super) fn moments((time, dt): (f64, f64)) -> [f64; 4] {
+        [0.0, 0.5, 1.0, 1.5].map(|share| time + share * dt)
+    }
+
+    /// The times around the start.
+    pub(super) fn at_start(&self, time: f64, velocity: f64) -> ([f64; 3], f64) {
+        let step = START * self.largest_step(velocity);
+        ([time - step, time, time + step], step)
     }
 
     /// The pressure where fluid leaves, by the velocities of the boundary.
@@ -486,18 +504,18 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     ) -> Vec<f64> {
         let count = self.medium.inside * Self::WIDTH;
         let (mut sum, mut now, mut next) = (vec![0.0; count], z.clone(), z.clone());
-        let [middle, end] = self.walls_of_part(boundary, (time, dt));
+        let walls = self.walls(boundary, Self::moments((time, dt)), 0.5 * dt);
         for (s, (at, weight)) in STAGES.into_iter().enumerate() {
             if s > 0 {
                 std::mem::swap(&mut now, &mut next);
-                self.fill(&mut now, if at < 1.0 { &middle } else { &end });
+                self.fill(&mut now, &walls[usize::from(at == 1.0)]);
             }
             look(&now);
             let ahead = STAGES.get(s + 1).map(|(at, _)| at * dt);
             let rates = Rates { flow: self, now: &now, start: &z, weight: weight * dt, ahead };
             rates.run(&mut sum, &mut next[..count]);
         }
-        self.fill(&mut next, &end);
+        self.fill(&mut next, &walls[1]);
         next
     }
 
@@ -515,7 +533,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         watch: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut y = self.packed(first);
-        self.fill(&mut y, &self.walls(boundary, time, START * self.largest_step(velocity)));
+        let (times, apart) = self.at_start(time, velocity);
+        self.fill(&mut y, &self.walls(boundary, times, apart)[0]);
         for &size in sizes {
             y = self.step(y, (time, size), velocity, boundary, &mut |_| {});
             time += size;
@@ -561,7 +580,7 @@ pub fn sizes(control: Control, spacing: &[f64]) -> Vec<f64> {
 /// Numbers of a particle's fields, zeros behind them.
 pub(super) type Record = [f64; MOST];
 
-/// The first `FIELDS` fields of a particle, four or eight, in vectors of L.
+/// The first `FIELDS` fields of a particle, four or eight, in vectors of L. (Loops are loops here: closures would stay calls.)
 #[derive(Clone, Copy)]
 pub(super) struct Vectors<L, const FIELDS: usize>([L; MOST]);
 
@@ -589,7 +608,9 @@ impl<L: Lanes<Real = f64>, const FIELDS: usize> Vectors<L, FIELDS> {
     /// Adds a multiple of others.
     #[inline(always)]
     pub fn add(&mut self, factor: f64, other: &Self) {
-        (0..Self::COUNT).for_each(|q| self.0[q] = other.0[q].mul_add(L::splat(factor), self.0[q]));
+        for q in 0..Self::COUNT {
+            self.0[q] = other.0[q].mul_add(L::splat(factor), self.0[q]);
+        }
     }
 
     /// Adds itself to numbers.
@@ -597,15 +618,19 @@ impl<L: Lanes<Real = f64>, const FIELDS: usize> Vectors<L, FIELDS> {
     pub fn add_to(&self, to: &mut [f64], place: usize) {
         let own = Self::load(to, place);
         let to = &mut to[place..][..FIELDS];
-        // SAFETY: FIELDS numbers are there.
-        (0..Self::COUNT).for_each(|q| unsafe { (own.0[q] + self.0[q]).store(to.as_mut_ptr().add(q * L::COUNT)) });
+        for q in 0..Self::COUNT {
+            // SAFETY: FIELDS numbers are there.
+            unsafe { (own.0[q] + self.0[q]).store(to.as_mut_ptr().add(q * L::COUNT)) };
+        }
     }
 
     #[inline(always)]
     pub fn numbers(&self) -> Record {
         let mut numbers = [0.0; MOST];
-        // SAFETY: there are at most MOST.
-        (0..Self::COUNT).for_each(|q| unsafe { self.0[q].store(numbers.as_mut_ptr().add(q * L::COUNT)) });
+        for q in 0..Self::COUNT {
+            // SAFETY: there are at most MOST.
+            unsafe { self.0[q].store(numbers.as_mut_ptr().add(q * L::COUNT)) };
+        }
         numbers
     }
 }
@@ -635,7 +660,9 @@ impl<const D: usize, const F: usize, const C: usize> Rates<'_, D, F, C> {
         let (diffusion, mut rate) = (flow.diffusion(), [0.0; MOST]);
         for f in 0..F.min(FIELDS) {
             rate[f] = diffusion[f] * sums[D][f];
-            (0..D).for_each(|d| rate[f] -= own[d] * sums[d][f]);
+            for d in 0..D {
+                rate[f] -= own[d] * sums[d][f];
+            }
         }
         let mut divergence = 0.0;
         for e in 0..D {

@@ -11,9 +11,9 @@
 //! each of which stages are made again, but for the last one. Where not even that has room, states of steps are made again within segments,
 //! and stages within each step.
 
-use super::equations::{Bar, Motion, State, Warmth};
+use super::equations::{Bar, BoundaryBar, Motion, State, Warmth};
 use super::fit_adjoint::PairCotangents;
-use super::sound::{Record, Vectors, Walls, WithSound, FOUR, MOST, STAGES, START};
+use super::sound::{Record, Vectors, Walls, WithSound, FOUR, MOST, STAGES};
 use super::unsteady::InTime;
 use super::unsteady_adjoint::{segments, Cotangents};
 use crate::numerics::lanes::{array, Lanes};
@@ -43,6 +43,9 @@ struct Found<const D: usize, const F: usize, const C: usize> {
     /// Of a moment.
     bar: Bar<D, F, C>,
 }
+
+/// Times, and the cotangents of what holds on the boundary then.
+type AtTimes<const D: usize, const N: usize> = [(f64, Vec<BoundaryBar<D>>); N];
 
 /// Cotangents of the sums of each field at a particle: `[sum][field]`.
 type Weights<const F: usize> = [Record; F];
@@ -88,20 +91,20 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         }
     }
 
-    /// Turns the cotangents of filled fields into those of the fields inside.
+    /// Turns the cotangents of filled fields into those of the fields inside, and adds those of what walls do before, at and after that
+    /// time. `apart`: by what velocities of walls before and after are divided in their acceleration; none if they do not change.
     fn fill_back(
         &self,
         y: &[f64],
-        (time, step): (f64, f64),
-        (boundary, walls): (&dyn InTime<D, F, C>, &Walls<'_, D>),
+        walls: &Walls<'_, D>,
+        ([before, now, after], apart): ([&mut Vec<BoundaryBar<D>>; 3], Option<f64>),
         y_bar: &mut [f64],
         found: &mut Found<D, F, C>,
     ) {
         let (medium, inside) = (&self.medium, self.medium.inside);
         let points = medium.conditions.len();
-        let mut acceleration_bar = vec![[0.0; D]; points];
-        let before = self.has_heat().then_some(D + 1).into_iter().chain(0..D);
-        for f in [D].into_iter().chain(before) {
+        let others = self.has_heat().then_some(D + 1).into_iter().chain(0..D);
+        for f in [D].into_iter().chain(others) {
             let edge = &self.edges[f];
             let own = (0..points).map(|k| y_bar[Self::at(inside + k, f)]).collect();
             let mu = edge.solve(own, true);
@@ -111,8 +114,8 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                 let (i, condition) = (inside + k, &walls.conditions[k]);
                 let Some(row) = edge.rows[k] else {
                     match (condition.motion, condition.warmth) {
-                        (Motion::Given(_), _) if f < D => found.bar.boundary[k].velocity[f] += mu,
-                        (_, Warmth::Given(_)) if f > D => found.bar.boundary[k].temperature += mu,
+                        (Motion::Given(_), _) if f < D => now[k].velocity[f] += mu,
+                        (_, Warmth::Given(_)) if f > D => now[k].temperature += mu,
                         _ => outlet += mu,
                     }
                     continue;
@@ -121,11 +124,11 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                 (0..F).for_each(|a| weights[a][f] -= mu * row[a]);
                 if f >= D {
                     let own = sums.get(k).map_or_else(|| self.sums(y, i, f), |of| array(|a| of[a][f]));
-                    (0..D).for_each(|d| found.bar.boundary[k].normal[d] -= mu * own[d]);
+                    (0..D).for_each(|d| now[k].normal[d] -= mu * own[d]);
                 }
                 match condition.warmth {
                     Warmth::Flux(_) if f > D => {
-                        found.bar.boundary[k].temperature -= mu / medium.fluid.diffusivity.unwrap_or(1.0);
+                        now[k].temperature -= mu / medium.fluid.diffusivity.unwrap_or(1.0);
                     }
                     _ => {}
                 }
@@ -134,10 +137,13 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                     let unbalanced = self.unbalanced(y, i, of, walls.acceleration[k]);
                     for e in 0..D {
                         let rho = mu * condition.normal[e];
-                        found.bar.boundary[k].normal[e] += mu * unbalanced[e];
+                        now[k].normal[e] += mu * unbalanced[e];
                         found.all.bar.viscosity += of[D][e] * rho;
                         weights[D][e] += medium.fluid.viscosity * rho;
-                        acceleration_bar[k][e] -= rho;
+                        if let Some(apart) = apart {
+                            before[k].velocity[e] += rho / apart;
+                            after[k].velocity[e] -= rho / apart;
+                        }
                         for d in 0..D {
                             weights[d][e] -= y[Self::at(i, d)] * rho;
                             y_bar[Self::at(i, d)] -= of[d][e] * rho;
@@ -153,7 +159,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
             (0..points).for_each(|k| y_bar[Self::at(inside + k, f)] = 0.0);
             for (k, share) in self.shares.iter().enumerate().filter(|_| f == D) {
                 let (condition, rho) = (&walls.conditions[k], -medium.sound * share * outlet);
-                let bar = &mut found.bar.boundary[k];
+                let bar = &mut now[k];
                 for e in 0..D {
                     match condition.motion {
                         Motion::Given(given) => {
@@ -167,27 +173,31 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
             }
         }
         self.centre(y_bar);
-        self.gather(boundary, time, found);
-        if boundary.changes() {
-            for sign in [1.0, -1.0] {
-                for (to, from) in found.bar.boundary.iter_mut().zip(&acceleration_bar) {
-                    (0..D).for_each(|e| to.velocity[e] = sign * from[e] / (2.0 * step));
-                }
-                self.gather_changing(boundary, time + sign * step, found);
-                found.bar.boundary.fill(Default::default());
-            }
-        }
     }
 
-    fn gather_changing(&self, boundary: &dyn InTime<D, F, C>, time: f64, found: &mut Found<D, F, C>) {
-        let Found { all: Cotangents { position, parameters, .. }, bar, .. } = found;
-        boundary.pull_back(time, bar, position, parameters);
+    /// No cotangents of what holds at some times.
+    fn bars<const N: usize>(&self, times: [f64; N]) -> AtTimes<D, N> {
+        times.map(|time| (time, vec![BoundaryBar::default(); self.medium.conditions.len()]))
+    }
+
+    /// Adds what moments say of walls.
+    fn gather_all<const N: usize>(
+        &self,
+        boundary: &dyn InTime<D, F, C>,
+        moments: AtTimes<D, N>,
+        found: &mut Found<D, F, C>,
+    ) {
+        for (time, bar) in moments {
+            found.bar.boundary = bar;
+            self.gather(boundary, time, found);
+        }
     }
 
     /// Adds what a moment's bar says of walls, and forgets it.
     fn gather(&self, boundary: &dyn InTime<D, F, C>, time: f64, found: &mut Found<D, F, C>) {
         if boundary.changes() {
-            self.gather_changing(boundary, time, found);
+            let Found { all: Cotangents { position, parameters, .. }, bar, .. } = found;
+            boundary.pull_back(time, bar, position, parameters);
         }
         found.all.bar.add_walls(&found.bar);
         found.bar.boundary.fill(Default::default());
@@ -203,9 +213,13 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         mut after: Vec<f64>,
         found: &mut Found<D, F, C>,
     ) -> Vec<f64> {
-        let step = 0.5 * dt;
-        let [middle, end] = self.walls_of_part(boundary, (time, dt));
-        self.fill_back(&states[STAGES.len()], (time + dt, step), (boundary, &end), &mut after, found);
+        let times = Self::moments((time, dt));
+        let walls = self.walls(boundary, times, 0.5 * dt);
+        let apart = boundary.changes().then_some(dt);
+        // What holds at a time is looked at once, for all stages.
+        let mut bars = self.bars(times);
+        let [a, b, c, d] = bars.each_mut().map(|(_, bar)| bar);
+        self.fill_back(&states[STAGES.len()], &walls[1], ([b, c, d], apart), &mut after, found);
         let count = self.medium.inside * Self::WIDTH;
         // z+ = z + sum of weighted rates; behind the last stage no other begins with its rates.
         let mut before = after.clone();
@@ -218,12 +232,17 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
             let mut own = vec![0.0; after.len()];
             self.rates_back(&states[s], &rate_bar, &mut own, found);
             if s > 0 {
-                let walls = if at < 1.0 { &middle } else { &end };
-                self.fill_back(&states[s], (time + at * dt, step), (boundary, walls), &mut own, found);
+                let (walls, bars) = if at < 1.0 {
+                    (&walls[0], [&mut *a, &mut *b, &mut *c])
+                } else {
+                    (&walls[1], [&mut *b, &mut *c, &mut *d])
+                };
+                self.fill_back(&states[s], walls, (bars, apart), &mut own, found);
             }
             before.iter_mut().zip(&own).for_each(|(to, from)| *to += from);
             of_next = Some((at * dt, own));
         }
+        self.gather_all(boundary, bars, found);
         before
     }
 }
@@ -265,10 +284,10 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
             }
             y
         };
-        let at_start = (times[0], START * flow.largest_step(self.velocity));
+        let (at_start, apart) = flow.at_start(times[0], self.velocity);
         let mut y = flow.packed(self.first.1);
-        let walls = flow.walls(self.boundary, at_start.0, at_start.1);
-        flow.fill(&mut y, &walls);
+        let walls = &flow.walls(self.boundary, at_start, apart)[0];
+        flow.fill(&mut y, walls);
         let filled_first = y.clone();
         let parts: Vec<usize> = self.sizes.iter().map(|&size| flow.parts(size, self.velocity)).collect();
         let most_parts = parts.iter().copied().max().unwrap_or(1);
@@ -311,7 +330,11 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
                 stages.clear();
             }
         }
-        flow.fill_back(&filled_first, at_start, (self.boundary, &walls), &mut y_bar, &mut found);
+        let mut bars = flow.bars(at_start);
+        let apart = self.boundary.changes().then_some(2.0 * apart);
+        let around = bars.each_mut().map(|(_, bar)| bar);
+        flow.fill_back(&filled_first, walls, (around, apart), &mut y_bar, &mut found);
+        flow.gather_all(self.boundary, bars, &mut found);
         let Found { pairs, mut all, .. } = found;
         all.start = flow.unpacked(&y_bar).fields;
         // The Laplacian is a sum of second derivatives.
@@ -390,7 +413,10 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
         let sums = flow.all_sums::<L, FIELDS>(self.y, i);
         let (diffusion, mut viscosity) = (flow.diffusion(), 0.0);
         let (mut weights, mut own_bar): (Weights<F>, Record) = ([[0.0; MOST]; F], [0.0; MOST]);
-        for f in (0..F.min(FIELDS)).filter(|&f| f != D) {
+        for f in 0..F.min(FIELDS) {
+            if f == D {
+                continue;
+            }
             weights[D][f] = diffusion[f] * rho[f];
             for d in 0..D {
                 weights[d][f] = -own[d] * rho[f];
@@ -425,7 +451,9 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
             for pair in flow.pairs(i) {
                 let (other, c) = (at(flow.list[pair] as usize, 0), flow.pair(pair));
                 let mut along = Vectors::<L, FIELDS>::zero();
-                (0..F).for_each(|a| along.add(c[a], &by_sum[a]));
+                for a in 0..F {
+                    along.add(c[a], &by_sum[a]);
+                }
                 along.add_to(&mut part.y_bar, other);
                 total = total.minus(&along);
                 if !pairs.is_empty() {
@@ -433,8 +461,10 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
                     for f in 0..F.min(FIELDS) {
                         c_bar.add(self.y[other + f] - self.y[at(i, f)], &by_field[f]);
                     }
-                    let to = &mut pairs[(pair - start) * F..][..F];
-                    to.iter_mut().zip(c_bar.numbers()).for_each(|(to, more)| *to += more);
+                    let (to, more) = (&mut pairs[(pair - start) * F..][..F], c_bar.numbers());
+                    for a in 0..F {
+                        to[a] += more[a];
+                    }
                 }
             }
             total.add_to(&mut part.y_bar, at(i, 0));
