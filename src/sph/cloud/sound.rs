@@ -149,7 +149,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         list.reserve_exact(stencils.list.len());
         table.reserve_exact(stencils.list.len() * F);
         for i in 0..n {
-            for k in (0..stencils.count(i)).filter(|&k| stencils.neighbour(i, k) != i) {
+            // Those that fill up a block come last, and have no weight.
+            for k in (0..stencils.count(i)).take_while(|&k| stencils.pair(i, k).1 > 0.0) {
                 let c = medium.operators.of(i, k);
                 list.push(stencils.neighbour(i, k) as u32);
                 table.extend_from_slice(&c[..D]);
@@ -269,7 +270,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
     /// Which neighbours of a point are on the boundary, as points.
     fn neighbours(&self, point: usize) -> Vec<u32> {
         let inside = self.medium.inside;
-        self.list[self.pairs(inside + point)].iter().filter_map(|&j| j.checked_sub(inside as u32)).collect()
+        let all = self.list[self.pairs(inside + point)].iter().filter_map(|&j| j.checked_sub(inside as u32));
+        all.filter(|&j| j as usize != point).collect()
     }
 
     fn order(&self) -> Arc<Order> {
@@ -372,7 +374,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         })
     }
 
-    /// The conditions at N times, `step` apart, but for the first and the last one.
+    /// Conditions and accelerations at all of N times but the first and the last one; `step`: from each to the next.
     pub(super) fn walls<const N: usize>(
         &self,
         boundary: &dyn InTime<D, F, C>,
