@@ -78,9 +78,7 @@ pub fn run(arguments: ScenesArguments) -> anyhow::Result<()> {
             list()
         }
         Some(name) => {
-            builtin::scene(name)
-                .or(builtin::example(name))
-                .ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?;
+            builtin::scene_or_example(name).ok_or_else(|| builtin::unknown("built-in scene", name, SCENES))?;
             check_preset(arguments.preset.as_deref())?;
             let loaded = Config::load(Some(name), arguments.preset.as_deref(), &[])?;
             machine::answer(&serde_json::to_value(&loaded.config as &dyn erased_serde::Serialize)?);

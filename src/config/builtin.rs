@@ -253,6 +253,10 @@ pub fn scene(name: &str) -> Option<&'static BuiltIn> {
     named(SCENES, name)
 }
 
+pub fn scene_or_example(name: &str) -> Option<&'static BuiltIn> {
+    scene(name).or_else(|| example(name))
+}
+
 impl Family {
     pub fn built_in(self) -> &'static BuiltIn {
         &SCENES[self as usize]

@@ -47,14 +47,21 @@ pub trait Real:
     fn floor(self) -> Self;
 }
 
+/// The most lanes of kernels that sum over neighbours in a number of dimensions. In two of them a row has about 30, and much of the second
+/// vector of 16 lanes would be padding.
+pub const fn lanes_of_rows(dimension: usize) -> usize {
+    match dimension {
+        2 => 8,
+        _ => WIDEST,
+    }
+}
+
 /// A kernel over rows: computes the rows of a range independently of each other, so that the result does not depend on
 /// how ranges are dealt to threads.
 pub trait RowKernel<R: Real>: Sync {
-    /// Whether it sums over rows of about 30 neighbours, as in two dimensions. Much of the second vector of 16 lanes
-    /// would be padding, so at most 8 lanes are used. Kernels that share what they keep of pairs must agree.
-    const SHORT: bool = false;
-    /// Whether it computes on the four or eight numbers of one particle at a time: at most 4 lanes of f64 are used.
-    const FEW: bool = false;
+    /// The most lanes that it uses, where the instruction set has some as narrow: see [`lanes_of_rows`], or 4 for a kernel that computes
+    /// on the four or eight numbers of one particle at a time. Kernels that share what they keep of pairs must agree.
+    const MOST_LANES: usize = WIDEST;
     /// Whether it is so long that without vector instructions it is compiled for one number at a time: the compiler
     /// would take minutes to turn arrays into vectors again.
     const LARGE: bool = false;
@@ -694,7 +701,7 @@ mod x86 {
 }
 
 macro_rules! real {
-    ($real:ty, $single:ty, $portable:ty, $avx2:ident, $avx512:ident, $short:ident) => {
+    ($real:ty, $single:ty, $portable:ty, $avx2:ident, $avx512:ident) => {
         impl Real for $real {
             type Portable = $portable;
             fn run<K: RowKernel<Self>>(kernel: &K, rows: Range<usize>, with: InstructionSet) {
@@ -704,10 +711,8 @@ macro_rules! real {
                 #[inline(never)]
                 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
                 fn avx512<K: RowKernel<$real>>(kernel: &K, rows: Range<usize>) {
-                    if K::FEW {
+                    if K::MOST_LANES < <x86::$avx512 as Lanes>::COUNT {
                         kernel.rows::<x86::$avx2>(rows);
-                    } else if K::SHORT {
-                        kernel.rows::<x86::$short>(rows);
                     } else {
                         kernel.rows::<x86::$avx512>(rows);
                     }
@@ -757,5 +762,5 @@ macro_rules! real {
         }
     };
 }
-real!(f64, SingleF64, PortableF64, Avx2F64, Avx512F64, Avx512F64);
-real!(f32, SingleF32, PortableF32, Avx2F32, Avx512F32, Avx2F32);
+real!(f64, SingleF64, PortableF64, Avx2F64, Avx512F64);
+real!(f32, SingleF32, PortableF32, Avx2F32, Avx512F32);

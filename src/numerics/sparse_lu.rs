@@ -616,8 +616,6 @@ struct Sweep<'a> {
 }
 
 impl RowKernel<f64> for Sweep<'_> {
-    const SHORT: bool = true;
-
     #[inline(always)]
     fn rows<L: Lanes<Real = f64>>(&self, rows: Range<usize>) {
         for fronts in &self.stage[rows] {

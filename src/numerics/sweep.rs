@@ -1,7 +1,7 @@
 //! Sweeps over rows: a kernel compiled for every instruction set, run by all threads.
 
 pub use super::lanes::RowKernel;
-use super::lanes::{InstructionSet, Lanes, Real};
+use super::lanes::{InstructionSet, Lanes, Real, WIDEST};
 use super::thread_pool::ThreadPool;
 use std::mem::MaybeUninit;
 use std::ops::Range;
@@ -140,8 +140,8 @@ pub fn zeros<R: Real>(count: usize) -> Vec<R> {
 /// A kernel over parts, each with what is written for it. Nothing else is written, so no two threads write the same.
 pub trait PartKernel<R: Real>: Sync {
     type Part: Send;
-    /// See [`RowKernel::FEW`].
-    const FEW: bool = false;
+    /// See [`RowKernel::MOST_LANES`].
+    const MOST_LANES: usize = WIDEST;
     /// Must be `#[inline(always)]`, so that it is compiled with the features of its caller.
     fn part<L: Lanes<Real = R>>(&self, number: usize, part: &mut Self::Part);
 }
@@ -159,7 +159,7 @@ struct Parts<'a, R: Real, K: PartKernel<R>> {
 }
 
 impl<R: Real, K: PartKernel<R>> RowKernel<R> for Parts<'_, R, K> {
-    const FEW: bool = K::FEW;
+    const MOST_LANES: usize = K::MOST_LANES;
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

@@ -10,7 +10,7 @@
 //! positions gives the same list, the same order of every sum and the same bits.
 
 use crate::numerics::gather::{sums_by_place, Gather};
-use crate::numerics::lanes::{array, Lanes, Real};
+use crate::numerics::lanes::{array, lanes_of_rows, Lanes, Real};
 use crate::numerics::pool::fit;
 use crate::numerics::sweep::{run_rows, RowKernel, Shared};
 use crate::particles::cells::{Cells, Geometry, Runs, ROW_MULTIPLE};
@@ -243,7 +243,7 @@ struct Search<'a, R, const D: usize> {
 type Found = [u32; MOST_NEIGHBOURS + ROW_MULTIPLE];
 
 impl<R: Real, const D: usize> RowKernel<R> for Search<'_, R, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

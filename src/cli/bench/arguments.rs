@@ -103,9 +103,7 @@ impl BenchArguments {
                 return Err(BadInput::new(format!("`{word}` is a second scene"))
                     .place(format!("bench {}", self.words.join(" ")))
                     .allowed("groups and at most one scene"));
-            } else if builtin::scene(word).or(builtin::example(word)).is_some()
-                || Path::new(word).is_file()
-                || word.ends_with(".toml")
+            } else if builtin::scene_or_example(word).is_some() || Path::new(word).is_file() || word.ends_with(".toml")
             {
                 scene = Some(word.clone());
             } else {

@@ -332,6 +332,7 @@ pub enum Request {
 /// What one process measured.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Measured {
+    pub dimension: usize,
     pub pairs: usize,
     /// Steps of each timed run.
     pub steps: usize,

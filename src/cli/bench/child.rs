@@ -257,7 +257,8 @@ fn measure<R: Sweeps>(case: &Case) -> anyhow::Result<Outcome> {
     let lost = |step| move |source| failed(RunError::Neighbours { step, source });
     let pairs = count_pairs(&ready.dynamics.model, &begin.state).map_err(lost(case.warm_up))?;
     let instruction_set = InstructionSet::best().name().into();
-    let mut measured = Measured { pairs, instruction_set, time_step: ready.dynamics.model.dt, ..Default::default() };
+    let (dimension, time_step) = (ready.dynamics.model.dimension(), ready.dynamics.model.dt);
+    let mut measured = Measured { dimension, pairs, instruction_set, time_step, ..Default::default() };
     match case.kind {
         Kind::Forward => ready.forward(case, &begin, &mut measured).map_err(failed)?,
         Kind::Gradient | Kind::Training => {

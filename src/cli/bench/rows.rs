@@ -1,6 +1,6 @@
 //! A row of the results, bench.json, and ratios against that of an earlier run.
 
-use super::case::{label, Case, Group, Kind, Measured, Source};
+use super::case::{label, Case, Group, Kind, Measured};
 use crate::config::device::DeviceName;
 use crate::error::BadInput;
 use crate::numerics::roofline::Roofline;
@@ -102,11 +102,7 @@ impl Row {
         Self {
             group: case.group,
             scene: case.scene.clone(),
-            dimension: match &case.source {
-                Source::TaylorGreen(size) => size.dimension,
-                Source::Scene(scene) => scene.load().map_or(2, |loaded| loaded.config.dimension()),
-                Source::Plan { .. } | Source::Network(_) => 2,
-            },
+            dimension: first.dimension,
             particles: case.particles,
             pairs: first.pairs,
             precision: case.precision.name().into(),

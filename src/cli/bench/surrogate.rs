@@ -132,6 +132,7 @@ pub fn measure(case: &Case, network: Network) -> anyhow::Result<Measured> {
     let sgemm = products.iter().map(|(product, times)| *times as f64 * product.seconds(case.threads)).sum::<f64>();
     let gflop = products.iter().map(|(product, times)| 1e-9 * *times as f64 * product.operations()).sum::<f64>();
     Ok(Measured {
+        dimension: 2,
         pairs: graph.edges(),
         steps,
         seconds,

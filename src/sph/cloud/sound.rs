@@ -342,9 +342,17 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         sums
     }
 
-    /// The same of the first `FIELDS` fields, `[sum][field]`.
+    /// The same of all fields, `[sum][field]`.
     #[inline(always)]
-    pub(super) fn all_sums<L: Lanes<Real = f64>, const FIELDS: usize>(&self, y: &[f64], i: usize) -> [Record; F] {
+    pub(super) fn all_sums<L: Lanes<Real = f64>>(&self, y: &[f64], i: usize) -> [Record; F] {
+        match self.has_few() {
+            true => self.first_sums::<L, FOUR>(y, i),
+            false => self.first_sums::<L, MOST>(y, i),
+        }
+    }
+
+    #[inline(always)]
+    fn first_sums<L: Lanes<Real = f64>, const FIELDS: usize>(&self, y: &[f64], i: usize) -> [Record; F] {
         let own = Vectors::<L, FIELDS>::load(y, Self::at(i, 0));
         let mut sums = [Vectors::<L, FIELDS>::zero(); F];
         for pair in self.pairs(i) {
@@ -362,6 +370,14 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         let mut sums = vec![[[0.0; MOST]; F]; self.points()];
         run_parts(&SumsOfPoints { flow: self, y }, sums.chunks_mut(TOGETHER));
         sums
+    }
+
+    /// Those of a field at a point of the boundary, given those of all fields at all points, or nothing.
+    pub(super) fn sums_at_point(&self, known: &[[Record; F]], y: &[f64], point: usize, f: usize) -> [f64; F] {
+        match known.get(point) {
+            Some(of) => array(|a| of[a][f]),
+            None => self.sums(y, self.medium.inside + point, f),
+        }
     }
 
     /// The acceleration at a point that the pressure balances, component by component, given the sums of the velocities there.
@@ -454,7 +470,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
                         _ => outlet,
                     };
                 };
-                let own = sums.get(k).map_or_else(|| self.sums(y, i, f), |of| array(|a| of[a][f]));
+                let own = self.sums_at_point(&sums, y, k, f);
                 let of_others: f64 = weights.iter().zip(&own).map(|(weight, sum)| weight * sum).sum();
                 let wanted = match (f, condition.warmth) {
                     (f, Warmth::Flux(flux)) if f > D => -flux / self.medium.fluid.diffusivity.unwrap_or(1.0),
@@ -655,12 +671,12 @@ impl<const D: usize, const F: usize, const C: usize> Rates<'_, D, F, C> {
 
     /// The rates of a particle.
     #[inline(always)]
-    fn of<L: Lanes<Real = f64>, const FIELDS: usize>(&self, i: usize) -> Record {
+    fn of<L: Lanes<Real = f64>>(&self, i: usize) -> Record {
         let (flow, fluid) = (self.flow, &self.flow.medium.fluid);
         let own = &self.now[WithSound::<D, F, C>::at(i, 0)..][..F];
-        let sums = flow.all_sums::<L, FIELDS>(self.now, i);
+        let sums = flow.all_sums::<L>(self.now, i);
         let (diffusion, mut rate) = (flow.diffusion(), [0.0; MOST]);
-        for f in 0..F.min(FIELDS) {
+        for f in 0..F {
             rate[f] = diffusion[f] * sums[D][f];
             for d in 0..D {
                 rate[f] -= own[d] * sums[d][f];
@@ -682,7 +698,7 @@ impl<const D: usize, const F: usize, const C: usize> Rates<'_, D, F, C> {
 impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rates<'a, D, F, C> {
     /// The sum and the next stage, `[particles, WIDTH]`.
     type Part = (&'a mut [f64], &'a mut [f64]);
-    const FEW: bool = true;
+    const MOST_LANES: usize = FOUR;
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, number: usize, (sum, next): &mut Self::Part) {
@@ -690,10 +706,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for Rat
         let all = sum.chunks_exact_mut(width).zip(next.chunks_exact_mut(width)).enumerate();
         for (k, (sum, next)) in all {
             let i = number * TOGETHER + k;
-            let rate = match self.flow.has_few() {
-                true => self.of::<L, FOUR>(i),
-                false => self.of::<L, MOST>(i),
-            };
+            let rate = self.of::<L>(i);
             let start = &self.start[i * width..][..width];
             for f in 0..width {
                 sum[f] += self.weight * rate[f];
@@ -711,16 +724,12 @@ struct SumsOfPoints<'a, const D: usize, const F: usize, const C: usize> {
 
 impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for SumsOfPoints<'a, D, F, C> {
     type Part = &'a mut [[Record; F]];
-    const FEW: bool = true;
+    const MOST_LANES: usize = FOUR;
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, number: usize, part: &mut Self::Part) {
         for (k, sums) in part.iter_mut().enumerate() {
-            let i = self.flow.medium.inside + number * TOGETHER + k;
-            *sums = match self.flow.has_few() {
-                true => self.flow.all_sums::<L, FOUR>(self.y, i),
-                false => self.flow.all_sums::<L, MOST>(self.y, i),
-            };
+            *sums = self.flow.all_sums::<L>(self.y, self.flow.medium.inside + number * TOGETHER + k);
         }
     }
 }

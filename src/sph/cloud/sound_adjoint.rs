@@ -123,7 +123,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
                 let mut weights: Weights<F> = [[0.0; MOST]; F];
                 (0..F).for_each(|a| weights[a][f] -= mu * row[a]);
                 if f >= D {
-                    let own = sums.get(k).map_or_else(|| self.sums(y, i, f), |of| array(|a| of[a][f]));
+                    let own = self.sums_at_point(&sums, y, k, f);
                     (0..D).for_each(|d| now[k].normal[d] -= mu * own[d]);
                 }
                 match condition.warmth {
@@ -338,10 +338,12 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         let Found { pairs, mut all, .. } = found;
         all.start = flow.unpacked(&y_bar).fields;
         // The Laplacian is a sum of second derivatives.
-        for i in (0..n).filter(|_| self.by_positions) {
+        let second = (0..D).map(|a| (quadratic(D, a, a), D));
+        let of_sums: Vec<(usize, usize)> = (0..D).map(|d| (d, d)).chain(second).chain([(C - 1, D + 1)]).collect();
+        let particles = if self.by_positions { n } else { 0 };
+        for i in 0..particles {
             for (k, pair) in flow.pairs(i).enumerate() {
-                let second = (0..D).map(|a| (quadratic(D, a, a), D));
-                for (c, from) in (0..D).map(|d| (d, d)).chain(second).chain([(C - 1, D + 1)]) {
+                for &(c, from) in &of_sums {
                     *of_figures.of_pair(stencils, (i, k), c) += pairs[pair * F + from];
                 }
             }
@@ -406,14 +408,14 @@ struct RatesBack<'a, const D: usize, const F: usize, const C: usize> {
 impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
     /// The cotangents of the sums of a particle and of its own fields, and what its rates make of that of the viscosity.
     #[inline(always)]
-    fn weights<L: Lanes<Real = f64>, const FIELDS: usize>(&self, i: usize) -> (Weights<F>, Record, f64) {
+    fn weights<L: Lanes<Real = f64>>(&self, i: usize) -> (Weights<F>, Record, f64) {
         let (flow, fluid) = (self.flow, &self.flow.medium.fluid);
         let at = WithSound::<D, F, C>::at(i, 0);
         let (own, rho) = (&self.y[at..][..F], &self.rate_bar[at..][..F]);
-        let sums = flow.all_sums::<L, FIELDS>(self.y, i);
+        let sums = flow.all_sums::<L>(self.y, i);
         let (diffusion, mut viscosity) = (flow.diffusion(), 0.0);
         let (mut weights, mut own_bar): (Weights<F>, Record) = ([[0.0; MOST]; F], [0.0; MOST]);
-        for f in 0..F.min(FIELDS) {
+        for f in 0..F {
             if f == D {
                 continue;
             }
@@ -441,7 +443,7 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
         let (flow, at) = (self.flow, WithSound::<D, F, C>::at);
         let start = flow.first[part.particles.start];
         for i in part.particles.clone() {
-            let (weights, own_bar, viscosity) = self.weights::<L, FIELDS>(i);
+            let (weights, own_bar, viscosity) = self.weights::<L>(i);
             part.viscosity += viscosity;
             let by_sum: [Vectors<L, FIELDS>; F] = array(|a| Vectors::load(&weights[a], 0));
             // What the cotangents of a pair's coefficients get of each field's difference.
@@ -475,7 +477,7 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
 impl<'a, const D: usize, const F: usize, const C: usize> PartKernel<f64> for RatesBack<'a, D, F, C> {
     /// And the cotangents of the particles' own pairs, or nothing.
     type Part = (&'a mut Part, &'a mut [f64]);
-    const FEW: bool = true;
+    const MOST_LANES: usize = FOUR;
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, _: usize, (part, pairs): &mut Self::Part) {

@@ -18,7 +18,7 @@ use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::sweeps::{along, hot, Context, End, Pairs, WALLS};
 use super::work::{field, line, Work};
-use crate::numerics::lanes::{array, Lanes, Real};
+use crate::numerics::lanes::{array, lanes_of_rows, Lanes, Real};
 use crate::numerics::sweep::RowKernel;
 use crate::sph::own::Own;
 use std::ops::Range;
@@ -132,7 +132,7 @@ struct Pull<'a, R: Real, const METRIC: bool> {
 }
 
 impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -242,7 +242,7 @@ struct PullBack<'a, R: Real, const METRIC: bool> {
 }
 
 impl<R: Real, const METRIC: bool> RowKernel<R> for PullBack<'_, R, METRIC> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -346,7 +346,7 @@ struct Finish<'a, R: Real> {
 }
 
 impl<R: Real> RowKernel<R> for Finish<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {

@@ -4,7 +4,7 @@ use super::grid::run;
 use super::lattice::{row, Fixed};
 use super::sweeps::{mass_flux, put_flux, Context};
 use super::work::{field, line};
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{lanes_of_rows, Lanes, Real};
 use crate::numerics::sweep::RowKernel;
 use crate::sph::laws::drive::Drive;
 use crate::sph::own::Own;
@@ -14,7 +14,7 @@ use std::ops::Range;
 struct Momentum<'a, R: Real>(&'a Context<'a, R>);
 
 impl<R: Real> RowKernel<R> for Momentum<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -48,7 +48,7 @@ struct Push<'a, R: Real> {
 }
 
 impl<R: Real> RowKernel<R> for Push<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -74,7 +74,7 @@ impl<R: Real> RowKernel<R> for Push<'_, R> {
 struct KickBar<'a, R: Real>(&'a Context<'a, R>);
 
 impl<R: Real> RowKernel<R> for KickBar<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -97,7 +97,7 @@ struct PushBar<'a, R: Real> {
 }
 
 impl<R: Real> RowKernel<R> for PushBar<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {

@@ -9,7 +9,7 @@ use super::grid::{store_part, Fields, REACH};
 use super::lattice::{row, Fixed};
 use super::stencil::{Weight, WIDTH};
 use super::work::{field, line, Work};
-use crate::numerics::lanes::{array, Lanes, Real, WIDEST};
+use crate::numerics::lanes::{array, lanes_of_rows, Lanes, Real, WIDEST};
 use crate::numerics::sweep::RowKernel;
 use crate::sph::own::Own;
 use std::ops::{Deref, Range};
@@ -215,7 +215,7 @@ struct Spread<'a, R: Real> {
 }
 
 impl<R: Real> RowKernel<R> for Spread<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -262,7 +262,7 @@ pub(super) fn mass_flux<L: Lanes>(d: L, s: L, rho: L, u: L, v: L) -> [L; 2] {
 struct Flux<'a, R: Real>(&'a Context<'a, R>);
 
 impl<R: Real> RowKernel<R> for Flux<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -433,7 +433,7 @@ struct Kick<'a, R: Real> {
 }
 
 impl<R: Real> RowKernel<R> for Kick<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {
@@ -490,7 +490,7 @@ struct Advance<'a, R: Real> {
 }
 
 impl<R: Real> RowKernel<R> for Advance<'_, R> {
-    const SHORT: bool = true;
+    const MOST_LANES: usize = lanes_of_rows(2);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, units: Range<usize>) {

@@ -11,7 +11,7 @@ use super::records::record_fields;
 use super::sweeps::Sweeps;
 use super::wall_condition::pack_fluid;
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{lanes_of_rows, Lanes, Real};
 use crate::numerics::pool::fit;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
@@ -54,7 +54,7 @@ impl<R: Real, const D: usize> Forward<'_, R, D> {
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
@@ -119,7 +119,7 @@ impl<R: Real, const D: usize> Backward<'_, R, D> {
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

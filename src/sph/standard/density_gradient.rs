@@ -8,7 +8,7 @@
 
 use super::chain::{Masses, Step};
 use super::records::{FLOW as WIDTH, TERM as TERM_WIDTH};
-use crate::numerics::lanes::{array, Lanes, Real};
+use crate::numerics::lanes::{array, lanes_of_rows, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::laws::density_diffusion::LEAST_DETERMINANT;
 use crate::sph::laws::dot;
@@ -29,7 +29,7 @@ struct Forward<'a, R, const D: usize> {
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Forward<'_, R, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
@@ -117,7 +117,7 @@ struct Backward<'a, R, const D: usize> {
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Backward<'_, R, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

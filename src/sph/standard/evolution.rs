@@ -18,7 +18,7 @@ use super::sweeps::Sweeps;
 use super::{density_gradient, renormalisation};
 use crate::numerics::candle::Operator;
 use crate::numerics::gather::Gather;
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{lanes_of_rows, Lanes, Real};
 use crate::numerics::pool::Buffer;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed::Pairs;
@@ -175,7 +175,7 @@ impl<R: Real, T: DensityTerm, const D: usize> Forward<'_, R, T, D> {
 }
 
 impl<R: Real, T: DensityTerm, const D: usize> RowKernel<R> for Forward<'_, R, T, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
@@ -312,7 +312,7 @@ impl<R: Real, T: DensityTerm, const D: usize> Backward<'_, R, T, D> {
 }
 
 impl<R: Real, T: DensityTerm, const D: usize> RowKernel<R> for Backward<'_, R, T, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

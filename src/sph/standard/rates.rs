@@ -15,7 +15,7 @@
 use super::chain::{Masses, Step};
 use super::pair_cache::PairCache;
 use super::records::{record_fields, record_temperature};
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{lanes_of_rows, Lanes, Real};
 use crate::numerics::pool::Buffer;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
@@ -157,7 +157,7 @@ impl<R: Real, W: PairLaw, const D: usize> Forward<'_, R, W, D> {
 }
 
 impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Forward<'_, R, W, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
@@ -308,7 +308,7 @@ impl<R: Real, W: PairLaw, const D: usize> Backward<'_, R, W, D> {
 }
 
 impl<R: Real, W: PairLaw, const D: usize> RowKernel<R> for Backward<'_, R, W, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

@@ -9,7 +9,7 @@
 //! sum_j s_j W, V_bar_i = sum_j q_j W and r_bar_i = sum_j (s_i m_j + s_j m_i + q_i V_j + q_j V_i) F r_ij.
 
 use super::chain::{Masses, Step};
-use crate::numerics::lanes::{Lanes, Real};
+use crate::numerics::lanes::{lanes_of_rows, Lanes, Real};
 use crate::numerics::pool::Buffer;
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed::Pairs;
@@ -33,7 +33,7 @@ struct Sums<'a, R, const D: usize> {
 }
 
 impl<R: Real, const D: usize> RowKernel<R> for Sums<'_, R, D> {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {

@@ -23,7 +23,7 @@ use super::pair_cache::PairCache;
 use super::records::{dispatch, record_fields, record_temperature};
 use super::sweeps::Sweeps;
 use crate::numerics::candle::Operator;
-use crate::numerics::lanes::{array, Lanes, Real};
+use crate::numerics::lanes::{array, lanes_of_rows, Lanes, Real};
 use crate::numerics::sweep::{run_rows, RowKernel};
 use crate::sph::composed;
 use crate::sph::laws::body_force::BodyForce;
@@ -305,7 +305,7 @@ struct Walls<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> {
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for Walls<'_, R, D, TRANSPORT, HEAT>
 {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
@@ -420,7 +420,7 @@ struct WallRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool> 
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for WallRows<'_, R, D, TRANSPORT, HEAT>
 {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
@@ -526,7 +526,7 @@ struct FluidRows<'a, R, const D: usize, const TRANSPORT: bool, const HEAT: bool>
 impl<R: Real, const D: usize, const TRANSPORT: bool, const HEAT: bool> RowKernel<R>
     for FluidRows<'_, R, D, TRANSPORT, HEAT>
 {
-    const SHORT: bool = D == 2;
+    const MOST_LANES: usize = lanes_of_rows(D);
 
     #[inline(always)]
     fn rows<L: Lanes<Real = R>>(&self, rows: Range<usize>) {
