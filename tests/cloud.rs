@@ -794,6 +794,41 @@ fn the_heated_cavity_has_its_nusselt_number() {
     }
 }
 
+/// Where a surface meets a side of the box, whatever their angle, particles stay in the fluid, and the side's points are as close to
+/// each other as the surface's.
+#[test]
+fn particles_stay_in_the_box_where_surfaces_meet_its_sides() {
+    for (height, shape) in [
+        (0.0, "kind = \"disc\"\ncentre = [0.8, 0.0]\nradius = 0.25\n"),
+        (0.0, "kind = \"disc\"\ncentre = [0.8, 0.12]\nradius = 0.25\n"),
+        (0.0, "kind = \"disc\"\ncentre = [0.8, -0.12]\nradius = 0.25\n"),
+        (0.0, "kind = \"polygon\"\npoints = [[0.5, -0.2], [1.0, -0.2], [1.0, 0.3], [0.5, 0.3]]\n"),
+        (1.0, "kind = \"disc\"\ncentre = [0.8, 1.0]\nradius = 0.25\n"),
+    ] {
+        let text = format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\nregion.size = [1.6, 1.0]\nregion.periodic = [true, false]\n\
+             region.acceleration = [1.0, 0.0]\nfluid.viscosity = 0.05\nresolution.dx = 0.05\nobjective.kind = \"drag\"\n\
+             [[shapes]]\n{shape}"
+        );
+        let around = AroundShapes::new(&loaded(&text)).unwrap();
+        let places = &around.flow.cloud.places;
+        let depth = |p: &[f64; 2]| p[1].min(1.0 - p[1]);
+        let least = places.place[..places.inside].iter().map(depth).fold(f64::MAX, f64::min);
+        assert!(least > 0.4 * 0.05 / 3.0, "{shape}: a particle is {least} from a side");
+        // The gap between the surface's last point and the side's next one, on either side of the shape.
+        let on_shape = |k: &usize| places.boundary[*k].on.is_some();
+        let points = || 0..places.boundary.len();
+        let place = |k: usize| places.place[places.boundary[k].particle];
+        let ends = |k: &usize| on_shape(k) && depth(&place(*k)) < 0.02;
+        for k in points().filter(ends) {
+            let (at, gap) = (place(k), |j: usize| (place(j)[0] - place(k)[0]).hypot(place(j)[1] - place(k)[1]));
+            let next = points().filter(|j| !on_shape(j)).map(gap).fold(f64::MAX, f64::min);
+            assert!((at[1] - height).abs() < 0.02 && next < 0.03, "{shape}: {next} from {at:?} to the side");
+        }
+        assert!(points().filter(ends).count() >= 2, "{shape}: the surface meets the side");
+    }
+}
+
 /// A floor that meets the sides of the box may be shaped by the numbers that leave its ends in place, with the exact derivative.
 #[test]
 fn a_floor_may_be_shaped_between_its_ends() {

@@ -186,6 +186,26 @@ fn the_heat_of_a_ball_in_a_duct_is_that_of_an_incompressible_fluid() {
     assert!((own / other - 1.0).abs() < 0.02, "{own} {other}");
 }
 
+/// Shapes that meet the sides of the box at a right angle: the flow over them is that of an incompressible fluid.
+#[test]
+fn shapes_that_meet_sides_have_the_flow_of_an_incompressible_fluid() {
+    let channel = "region.size = [2.0, 1.0]\nregion.periodic = [true, false]\nregion.acceleration = [0.3, 0.0]\nfluid.viscosity = 0.05\n\
+        fluid.reference_velocity = 0.5\nresolution.dx = 0.05\ntime.end = 1.0\nobjective.kind = \"flow-rate\"\n[[shapes]]\n";
+    for shape in [
+        "kind = \"disc\"\ncentre = [0.8, 0.0]\nradius = 0.25\n",
+        "kind = \"polygon\"\npoints = [[0.8, -0.2], [1.2, -0.2], [1.2, 0.3], [0.8, 0.3]]\n",
+    ] {
+        let rate = |set: &[&str]| {
+            let around = AroundShapes::new(&config(&format!("{channel}{shape}"), set)).unwrap();
+            let (history, _) = around.march(&around.first(), None, &mut |_, _| Ok(())).unwrap();
+            last(&history, "flow_rate")
+        };
+        let [own, other] = [rate(&[]), rate(&["method.pressure=incompressible"])];
+        println!("flow rates {own} and {other}");
+        assert!((own / other - 1.0).abs() < 5e-3, "{shape}: {own} and {other}");
+    }
+}
+
 /// What it does not have is refused by name, and a flow that is not finite ends with advice.
 #[test]
 fn what_cannot_be_is_refused() {

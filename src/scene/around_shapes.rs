@@ -522,9 +522,9 @@ pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
             format!("the flow is not finite after t = {time:.4}"),
             match config.has_sound() {
                 true => format!(
-                    "fluid.sound_speed_factor={}, method.pressure=incompressible, or {}",
-                    2.0 * config.fluid.sound_speed_factor,
-                    finer(config)
+                    "method.pressure=incompressible, {}, or fluid.sound_speed_factor={} for a flow as fast as its sound",
+                    finer(config),
+                    2.0 * config.fluid.sound_speed_factor
                 ),
                 false => format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
             },

@@ -2,8 +2,8 @@
 //!
 //! The spacing h is h0 on a body (dx / 3 by default, less where the surface turns sharply) and grows by a quarter of the
 //! distance to dx. Points on the surface are h0 apart; layers follow it at distances of 0.95 h, their points h apart; where h
-//! has reached dx a lattice goes on. Points too near to others are left out, and 30 steps of repulsion spread those near
-//! bodies evenly:
+//! has reached dx a lattice goes on. A side of the box that a surface meets is as fine as the surface there. Points too near to
+//! others are left out, and 30 steps of repulsion spread those near bodies evenly:
 //!
 //! ```text
 //!   x_i += h_i / 4 sum_j (1 - r / R)^2 r_ij / r,   R = 0.8 (h_i + h_j).
@@ -82,6 +82,12 @@ const APART: f64 = 0.85;
 const FAR: f64 = 12.0;
 /// Smallest spacing on a surface, in the usual one.
 const FINEST: f64 = 0.4;
+/// Particles inside keep so far off the sides of the box, in spacings.
+const OFF_SIDES: f64 = 0.5;
+/// What is nearer to a side of the box touches it, in dx.
+const TOUCH: f64 = 1e-9;
+/// Samples of the spacing along a side that a surface meets, per cell of the lattice.
+const SAMPLES: usize = 4;
 /// Spacing on a surface in its radius of curvature.
 const PER_RADIUS: f64 = 0.55;
 
@@ -137,8 +143,14 @@ impl Ground {
         (0..polygons.len()).rev().filter(|&k| Some(k) != except).find(|&k| polygons[k].covers(&self.plane, p))
     }
 
+    /// How far a place is from the sides of the box; negative outside.
+    fn depth(&self, p: [f64; 2]) -> f64 {
+        let Plane { size, periodic } = self.plane;
+        (0..2).filter(|&d| !periodic[d]).map(|d| p[d].min(size[d] - p[d])).fold(f64::INFINITY, f64::min)
+    }
+
     fn is_in_box(&self, p: [f64; 2]) -> bool {
-        (0..2).all(|d| self.plane.periodic[d] || (p[d] > 1e-9 * self.dx && p[d] < self.plane.size[d] - 1e-9 * self.dx))
+        self.depth(p) > TOUCH * self.dx
     }
 
     /// Fills the fluid with particles.
@@ -171,10 +183,12 @@ impl Ground {
         let mut layers: Vec<([f64; 2], f64, f64)> = vec![];
         // Samples of surfaces with the distance at which their layers end, and the spacing there.
         let mut near: Vec<([f64; 2], f64, f64)> = vec![];
+        // Where surfaces meet sides of the box, and the spacing there.
+        let mut contacts: Vec<([f64; 2], f64)> = vec![];
         for (k, (samples, points)) in fine.iter().enumerate() {
             let is_free = |p: [f64; 2]| self.is_in_box(p) && self.is_in_wall(&polygons, p, Some(k)).is_none();
             // A wall that reaches out of a periodic box is there once.
-            let in_period = |p: [f64; 2]| (0..2).all(|d| p[d] >= -1e-9 * dx && p[d] < plane.size[d] - 1e-9 * dx);
+            let in_period = |p: [f64; 2]| (0..2).all(|d| p[d] >= -TOUCH * dx && p[d] < plane.size[d] - TOUCH * dx);
             let whole = points.iter().all(|point| is_free(point.place));
             let free: Vec<bool> =
                 points.iter().map(|point| is_free(point.place) && (whole || in_period(point.place))).collect();
@@ -228,13 +242,16 @@ impl Ground {
                 put(spread(&parameters, &length, &spacing, false, offset, 1.0), &mut surface);
                 if !is_straight {
                     self.layers(&on, &length, &spacing, &mut layers, &mut near);
+                    let last = on.len() - 1;
+                    let ends = [0, last].map(|end| (on[end].place, spacing[end]));
+                    contacts.extend(ends.into_iter().filter(|(place, _)| self.depth(*place) < 1e-6 * dx));
                 }
             }
         }
         self.corners_of(&mut places);
         // A few points of each surface tell how far it is.
         let bodies: Vec<[f64; 2]> = near.iter().step_by(16).map(|(place, ..)| *place).collect();
-        self.sides(&polygons, &places.corners, &bodies, &mut surface);
+        self.sides(&polygons, &places.corners, (&bodies, &contacts), &mut surface);
         if surface.is_empty() && places.touching.is_empty() && !plane.periodic.iter().all(|&p| p) {
             return Err(Unplaceable::Full);
         }
@@ -246,7 +263,7 @@ impl Ground {
         // Layers' points keep off walls and earlier layers' points.
         let mut cells = Growing::new(plane, dx);
         for &(p, h, distance) in &layers {
-            if !self.is_in_box(p) || self.is_in_wall(&polygons, p, None).is_some() {
+            if self.depth(p) < OFF_SIDES * h || self.is_in_wall(&polygons, p, None).is_some() {
                 continue;
             }
             let p = plane.wrapped(p);
@@ -495,7 +512,7 @@ impl Ground {
         &self,
         polygons: &[Polygon],
         corners: &[[f64; 2]; 2],
-        bodies: &[[f64; 2]],
+        (bodies, contacts): (&[[f64; 2]], &[([f64; 2], f64)]),
         surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>,
     ) {
         let Plane { size, periodic } = self.plane;
@@ -518,19 +535,27 @@ impl Ground {
                 p
             };
             let all = cells[e] as f64;
-            let numbers: Vec<f64> = (0..=cells[e]).map(|k| k as f64).collect();
-            let spacing: Vec<f64> = numbers.iter().map(|k| self.spacing(place(*k), bodies)).collect();
-            let mut on: Vec<(f64, f64)> = match spacing.iter().all(|h| self.is_fine(*h)) {
-                true => numbers[..cells[e]].iter().map(|k| (*k, self.dx)).collect(),
+            // Next to a surface it is as fine as that.
+            let spacing_at = |k: f64| {
+                let next_to = |(p, h): &([f64; 2], f64)| h + GROWTH * self.plane.distance(*p, place(k));
+                contacts.iter().map(next_to).fold(self.spacing(place(k), bodies), f64::min)
+            };
+            let is_lattice = |h: f64| self.is_fine(h) && h > 0.98 * self.dx;
+            let mut on: Vec<(f64, f64)> = match (0..=cells[e]).all(|k| is_lattice(spacing_at(k as f64))) {
+                true => (0..cells[e]).map(|k| (k as f64, self.dx)).collect(),
                 false => {
-                    let found = spread(&numbers, &vec![step; cells[e] + 1], &spacing, false, 0.0, 1.0);
+                    let in_cell = if contacts.is_empty() { 1 } else { SAMPLES };
+                    let numbers: Vec<f64> = (0..=in_cell * cells[e]).map(|k| k as f64 / in_cell as f64).collect();
+                    let spacing: Vec<f64> = numbers.iter().map(|k| spacing_at(*k)).collect();
+                    let lengths = vec![step / in_cell as f64; numbers.len()];
+                    let found = spread(&numbers, &lengths, &spacing, false, 0.0, 1.0);
                     found.into_iter().map(|(k, _, h)| (k, h)).collect()
                 }
             };
             // Corners of the box belong to the sides along x.
             match (periodic[e], d) {
                 (true, _) => {}
-                (false, 1) => on.push((all, spacing[cells[e]])),
+                (false, 1) => on.push((all, spacing_at(all))),
                 (false, _) => drop(on.remove(0)),
             }
             for (n, &(k, h)) in on.iter().enumerate() {
@@ -590,7 +615,10 @@ impl Ground {
                 .collect();
             for (&i, shift) in movers.iter().zip(&shifts) {
                 let p = places.place[i];
-                places.place[i] = self.plane.wrapped([p[0] + shift[0], p[1] + shift[1]]);
+                let to = [p[0] + shift[0], p[1] + shift[1]];
+                if self.depth(to) >= self.depth(p).min(OFF_SIDES * places.spacing[i]) {
+                    places.place[i] = self.plane.wrapped(to);
+                }
             }
         }
     }
