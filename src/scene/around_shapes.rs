@@ -444,9 +444,10 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
     let bad = match why {
         Unusable::Placing(Unplaceable::Narrow { shape, width }) if D == 3 => BadInput::at(
             format!("shapes[{shape}]"),
-            format!(
-                "shapes[{shape}] cuts another shape or a side of the box, or is only {width:.2e} from another shape"
-            ),
+            match *width > 0.0 {
+                true => format!("shapes[{shape}] is only {width:.2e} from another shape"),
+                false => format!("shapes[{shape}] cuts another shape or a side of the box"),
+            },
         )
         .allowed(
             "shapes in the box that are at least a spacing apart; cylinders and extruded shapes reach from side to side along their axis",
@@ -484,7 +485,11 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
         Unusable::Singular => BadInput::at("shapes", "the particles around the shapes have no map")
             .allowed("shapes that are apart from each other"),
     };
-    bad.advice(finer(config)).into()
+    match why {
+        // No spacing helps.
+        Unusable::Placing(Unplaceable::Narrow { width: 0.0, .. }) if D == 3 => bad.into(),
+        _ => bad.advice(finer(config)).into(),
+    }
 }
 
 /// A place in a message.
@@ -526,12 +531,12 @@ pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
                     finer(config),
                     2.0 * config.fluid.sound_speed_factor
                 ),
-                false => format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
+                false => format!("{}, or method.tolerance={:e}", finer(config), 0.1 * tolerance(config)),
             },
         ),
         NoSteadyState::Unsolved => Error::diverged(
             "the iterations for a step in time did not converge".to_string(),
-            format!("method.tolerance={:e}, or {}", 0.1 * tolerance(config), finer(config)),
+            format!("{}, or method.tolerance={:e}", finer(config), 0.1 * tolerance(config)),
         ),
         NoSteadyState::Adjoint => {
             Error::diverged("the gradient's equations were not solved".to_string(), finer(config))

@@ -63,7 +63,7 @@ pub struct Places {
 /// What is wrong with shapes that cannot be placed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Unplaceable {
-    /// Two bodies, or a body and a wall, are nearer than this, or cut each other.
+    /// Two bodies, or a body and a wall, are nearer than this, or cut each other (0).
     Narrow { shape: usize, width: f64 },
     /// A shape is thinner than can be resolved.
     Thin { shape: usize, width: f64 },

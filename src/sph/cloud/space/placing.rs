@@ -111,18 +111,20 @@ impl Ground {
         let mut kept: Vec<([f64; 3], f64)> = vec![];
         let mut cells = Growing::new(region, dx);
         for (shape, surface) in self.surfaces.iter().enumerate() {
+            let mut width = f64::INFINITY;
             for spot in surface.spread(&region, h0, 0.0) {
                 let on = surface.at(&spot, &surface.numbers);
-                let other = self.distance(on.place, Some(shape));
-                if !self.is_in_box(on.place, 0.0) || other < 2.0 * h0 {
-                    return Err(Unplaceable::Narrow { shape, width: other.max(0.0) });
-                }
+                let is_out = !self.is_in_box(on.place, 0.0);
+                width = width.min(if is_out { 0.0 } else { self.distance(on.place, Some(shape)).max(0.0) });
                 let length = on.area.iter().map(|x| x * x).sum::<f64>().sqrt();
                 let normal = on.area.map(|x| x / length);
                 boundary.push(BoundaryPoint { on: Some((shape, spot)), sides: vec![], normal });
                 let place = region.wrapped(on.place);
                 cells.add(place);
                 walls.push((place, h0));
+            }
+            if width < 2.0 * h0 {
+                return Err(Unplaceable::Narrow { shape, width });
             }
         }
         let tiles = self.sides(&mut boundary, &mut walls, &mut cells);
