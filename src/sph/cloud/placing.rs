@@ -91,6 +91,12 @@ const SAMPLES: usize = 4;
 /// Spacing on a surface in its radius of curvature.
 const PER_RADIUS: f64 = 0.55;
 
+/// Where a surface meets a side of the box, and the spacing there.
+struct Contact {
+    place: [f64; 2],
+    spacing: f64,
+}
+
 /// The inside of a closed line of points, with the box around it.
 #[derive(Debug, Clone)]
 pub struct Polygon {
@@ -183,8 +189,7 @@ impl Ground {
         let mut layers: Vec<([f64; 2], f64, f64)> = vec![];
         // Samples of surfaces with the distance at which their layers end, and the spacing there.
         let mut near: Vec<([f64; 2], f64, f64)> = vec![];
-        // Where surfaces meet sides of the box, and the spacing there.
-        let mut contacts: Vec<([f64; 2], f64)> = vec![];
+        let mut contacts: Vec<Contact> = vec![];
         for (k, (samples, points)) in fine.iter().enumerate() {
             let is_free = |p: [f64; 2]| self.is_in_box(p) && self.is_in_wall(&polygons, p, Some(k)).is_none();
             // A wall that reaches out of a periodic box is there once.
@@ -243,8 +248,8 @@ impl Ground {
                 if !is_straight {
                     self.layers(&on, &length, &spacing, &mut layers, &mut near);
                     let last = on.len() - 1;
-                    let ends = [0, last].map(|end| (on[end].place, spacing[end]));
-                    contacts.extend(ends.into_iter().filter(|(place, _)| self.depth(*place) < 1e-6 * dx));
+                    let ends = [0, last].map(|end| Contact { place: on[end].place, spacing: spacing[end] });
+                    contacts.extend(ends.into_iter().filter(|end| self.depth(end.place) < 1e-6 * dx));
                 }
             }
         }
@@ -512,7 +517,7 @@ impl Ground {
         &self,
         polygons: &[Polygon],
         corners: &[[f64; 2]; 2],
-        (bodies, contacts): (&[[f64; 2]], &[([f64; 2], f64)]),
+        (bodies, contacts): (&[[f64; 2]], &[Contact]),
         surface: &mut Vec<(BoundaryPoint, [f64; 2], f64)>,
     ) {
         let Plane { size, periodic } = self.plane;
@@ -537,7 +542,7 @@ impl Ground {
             let all = cells[e] as f64;
             // Next to a surface it is as fine as that.
             let spacing_at = |k: f64| {
-                let next_to = |(p, h): &([f64; 2], f64)| h + GROWTH * self.plane.distance(*p, place(k));
+                let next_to = |end: &Contact| end.spacing + GROWTH * self.plane.distance(end.place, place(k));
                 contacts.iter().map(next_to).fold(self.spacing(place(k), bodies), f64::min)
             };
             let is_lattice = |h: f64| self.is_fine(h) && h > 0.98 * self.dx;
