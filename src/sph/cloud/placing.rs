@@ -545,13 +545,13 @@ impl Ground {
                 let next_to = |end: &Contact| end.spacing + GROWTH * self.plane.distance(end.place, place(k));
                 contacts.iter().map(next_to).fold(self.spacing(place(k), bodies), f64::min)
             };
+            let in_cell = if contacts.is_empty() { 1 } else { SAMPLES };
+            let numbers: Vec<f64> = (0..=in_cell * cells[e]).map(|k| k as f64 / in_cell as f64).collect();
+            let spacing: Vec<f64> = numbers.iter().map(|k| spacing_at(*k)).collect();
             let is_lattice = |h: f64| self.is_fine(h) && h > 0.98 * self.dx;
-            let mut on: Vec<(f64, f64)> = match (0..=cells[e]).all(|k| is_lattice(spacing_at(k as f64))) {
+            let mut on: Vec<(f64, f64)> = match spacing.iter().all(|h| is_lattice(*h)) {
                 true => (0..cells[e]).map(|k| (k as f64, self.dx)).collect(),
                 false => {
-                    let in_cell = if contacts.is_empty() { 1 } else { SAMPLES };
-                    let numbers: Vec<f64> = (0..=in_cell * cells[e]).map(|k| k as f64 / in_cell as f64).collect();
-                    let spacing: Vec<f64> = numbers.iter().map(|k| spacing_at(*k)).collect();
                     let lengths = vec![step / in_cell as f64; numbers.len()];
                     let found = spread(&numbers, &lengths, &spacing, false, 0.0, 1.0);
                     found.into_iter().map(|(k, _, h)| (k, h)).collect()
@@ -560,7 +560,7 @@ impl Ground {
             // Corners of the box belong to the sides along x.
             match (periodic[e], d) {
                 (true, _) => {}
-                (false, 1) => on.push((all, spacing_at(all))),
+                (false, 1) => on.push((all, spacing[spacing.len() - 1])),
                 (false, _) => drop(on.remove(0)),
             }
             for (n, &(k, h)) in on.iter().enumerate() {
