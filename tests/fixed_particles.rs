@@ -2,7 +2,7 @@
 
 use crate::support::noise::noise;
 use candle_core::{Device, Tensor, Var};
-use hydrograd::config::scene::KernelName;
+use hydrograd::config::scene::{Config, KernelName};
 use hydrograd::numerics::lanes::{Lanes, Real};
 use hydrograd::sph::fixed::channel::EDGE;
 use hydrograd::sph::fixed::ghosts::temperature;
@@ -430,6 +430,30 @@ fn the_heat_of_the_walls_flows_out() {
 }
 
 /// Rows of nodes and Q of finite elements.
+/// Sound that runs with a fast flow grows in steps that sound in a fluid at rest allows, and not in those of the configuration.
+#[test]
+fn steps_are_so_short_that_sound_does_not_grow_in_the_flow() {
+    let sets =
+        ["channel.height=0.3", "fluid.viscosity=0.0174", "fluid.body_force=3.18", "fluid.reference_velocity=2.056"];
+    let sets: Vec<String> = ["method.name=fixed"].iter().chain(&sets).map(|set| set.to_string()).collect();
+    let config = Config::load(Some("heated-channel"), None, &sets).unwrap().config;
+    let limits = config.time_step_limits();
+    assert_eq!(limits.acoustic, limits.growth);
+    assert!(config.time_step() <= limits.growth);
+    let usual = config.time.cfl * config.resolution.dx / (config.sound_speed() + config.fluid.reference_velocity);
+    assert!((0.8..0.99).contains(&(limits.growth / usual)), "{}", limits.growth / usual);
+    let still_finite = |dt: f64| {
+        let own = Channel { rows: 15, sound_speed: 20.56, viscosity: 0.0174, body_force: 3.18, dt, ..channel(0.02) };
+        let fixed = Fixed::<f64>::new(own).unwrap();
+        let wall: Vec<f64> = (0..50).map(|k| 0.005 * (6.0 * std::f64::consts::PI * k as f64 * 0.02).sin()).collect();
+        let mut state = fixed.state(&wall, &[0.0; 50], &|y| 3.18 / (2.0 * 0.0174) * y * (0.3 - y));
+        (0..4000).for_each(|_| state = step(&fixed, &state));
+        state.iter().all(|x| x.is_finite())
+    };
+    assert!(still_finite(config.time_step()));
+    assert!(!still_finite(1.08 * usual));
+}
+
 fn reference_shapes() -> Vec<(String, f64, Vec<f64>)> {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/reference/fem-shapes-H0.2.csv");
     let text = std::fs::read_to_string(path).unwrap();

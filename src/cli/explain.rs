@@ -52,6 +52,12 @@ fn limit(config: &Config) -> String {
     let limits = config.time_step_limits();
     let which = match limits.acoustic <= limits.diffusive {
         _ if limits.force < limits.acoustic.min(limits.diffusive) => "the body force".to_string(),
+        true if limits.acoustic == limits.growth => {
+            format!(
+                "sound that would grow in the flow, whatever time.cfl (heat and viscosity would allow {:.3e})",
+                limits.diffusive
+            )
+        }
         true => {
             format!("sound (time.cfl = {}; heat and viscosity would allow {:.3e})", config.time.cfl, limits.diffusive)
         }

@@ -1,5 +1,6 @@
 //! Quantities that follow from a configuration.
 
+use crate::config::method::kind::PlaneChannel;
 use crate::config::scene::{Config, DriveName, Family};
 use crate::config::stability::{CflLimit, FREE_SURFACE};
 use serde::Serialize;
@@ -7,6 +8,8 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeStepLimits {
     pub acoustic: f64,
+    /// Part of the acoustic limit: above it sound grows in the flow of a plane channel.
+    pub growth: f64,
     pub diffusive: f64,
     /// Limit by the body force of a custom scene; infinite for others.
     pub force: f64,
@@ -92,6 +95,17 @@ impl Config {
     /// The largest velocity of the plane channel, on its centre line.
     pub fn plane_speed(&self) -> f64 {
         1.5 * self.plane_flow_rate() / self.channel.height
+    }
+
+    fn plane_channel(&self) -> PlaneChannel {
+        PlaneChannel {
+            length: self.channel.length,
+            height: self.channel.height,
+            speed: self.plane_speed(),
+            sound_speed: self.sound_speed(),
+            kinematic_viscosity: self.kinematic_viscosity(),
+            spacing: self.resolution.dx,
+        }
     }
 
     /// The power that drives the plane channel, density g length times the flow rate, per depth.
@@ -219,15 +233,20 @@ impl Config {
         let dx = self.resolution.dx;
         let viscous = self.model_viscosity() + self.artificial_kinematic_viscosity();
         let diffusivity = if self.has_heat() { viscous.max(self.thermal_diffusivity()) } else { viscous };
-        let most = self.method.largest_cfl(self.plane_speed() / self.sound_speed());
         let gravity = self.fluid.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let falling = match self.scene.has_surface() {
             true => self.time.cfl * (dx / gravity).sqrt(),
             false => f64::INFINITY,
         };
+        let growth = match self.scene {
+            Family::Custom => f64::INFINITY,
+            _ => self.method.longest_step(&self.plane_channel()),
+        };
         TimeStepLimits {
-            acoustic: (self.time.cfl.min(most) * dx / (self.sound_speed() + self.fluid.reference_velocity))
-                .min(falling),
+            acoustic: (self.time.cfl * dx / (self.sound_speed() + self.fluid.reference_velocity))
+                .min(falling)
+                .min(growth),
+            growth,
             diffusive: self.method.diffusive_share() * self.time.diffusion_number * dx * dx / diffusivity,
             force: match self.scene {
                 Family::Custom => FORCE_NUMBER * (dx / self.acceleration()).sqrt(),

@@ -329,6 +329,9 @@ fn criteria(config: &Config) -> Vec<Criterion> {
         let thermal = config.time.diffusion_number * square / config.thermal_diffusivity();
         all.push(Criterion { name: "heat", formula: "diffusion_number dx^2 / alpha", dt: thermal });
     }
+    if limits.growth.is_finite() {
+        all.push(Criterion { name: "sound in the flow", formula: "no plane sound grows", dt: limits.growth });
+    }
     if limits.force.is_finite() {
         all.push(Criterion { name: "body force", formula: "0.25 sqrt(dx / g)", dt: limits.force });
     }

@@ -73,6 +73,18 @@ pub enum Given {
     AnotherValue,
 }
 
+/// A flow between two flat walls, as far as sound in it goes.
+#[derive(Debug, Clone, Copy)]
+pub struct PlaneChannel {
+    pub length: f64,
+    pub height: f64,
+    /// The largest speed of the flow.
+    pub speed: f64,
+    pub sound_speed: f64,
+    pub kinematic_viscosity: f64,
+    pub spacing: f64,
+}
+
 /// A method with the values of its keys.
 pub trait Kind {
     fn facts(&self) -> &'static Facts;
@@ -87,8 +99,8 @@ pub trait Kind {
     /// The largest stable CFL numbers for an initial jitter.
     fn cfl_limit(&self, jitter: f64) -> CflLimit;
 
-    /// The largest CFL number at a Mach number of the flow; infinite if it does not depend on it.
-    fn largest_cfl(&self, _mach: f64) -> f64 {
+    /// The longest time step in which sound does not grow in a plane channel; infinite if `time.cfl` limits it alone.
+    fn longest_step(&self, _channel: &PlaneChannel) -> f64 {
         f64::INFINITY
     }
 
