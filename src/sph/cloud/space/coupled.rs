@@ -12,7 +12,7 @@
 //! border, and behind them `[N]`.
 
 use super::equations::{Derivatives, Equations, FLOW, PRESSURE, TEMPERATURE};
-use super::linear::{solve_scaled, System};
+use super::linear::{solve_scaled, System, PRODUCTS};
 use super::scalar::Scalar;
 
 /// Relative residual of the heat in the preconditioner.
@@ -103,6 +103,6 @@ impl<'a> Coupled<'a> {
             x[..FLOW * n].chunks_exact_mut(FLOW).for_each(|row| row[PRESSURE] *= continuity);
             x[whole - n..].iter_mut().for_each(|x| *x *= heat);
         };
-        solve_scaled(right, tolerance, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
+        solve_scaled(right, tolerance, PRODUCTS, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
     }
 }

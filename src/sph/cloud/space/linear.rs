@@ -34,7 +34,10 @@ use std::sync::Arc;
 
 /// Products before GMRES begins anew, and at most. (The adjoint of a ball in a duct at a Reynolds number of 53 takes 475, and more than 600 if
 /// GMRES begins anew after 120.)
-const PRODUCTS: (usize, usize) = (300, 1500);
+pub(super) const PRODUCTS: (usize, usize) = (300, 1500);
+/// In a step in time GMRES begins anew where its vectors take more memory than this, but not before so many products. (The first step of the flow
+/// around a ball takes 67 products, those after it about 20.)
+const BASIS: (usize, usize) = (200_000_000, 40);
 /// Relative residual of a solution with K or the Laplacian. (A twentieth saves a tenth of the outer
 /// iterations, each of which takes twice as long.)
 const INNER: f64 = 0.3;
@@ -523,15 +526,23 @@ impl System {
     /// The solution to a relative residual, in which rows of continuity count `weight` times; adds the products that it took.
     pub fn solve(&self, right: &[f64], tolerance: f64, weight: f64, products: &mut usize) -> Option<Vec<f64>> {
         let scale = |x: &mut [f64], back: bool| self.scale(x, if back { 1.0 / weight } else { weight });
-        solve_scaled(right, tolerance, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
+        let each = match self.linear.rate > 0.0 {
+            // Two vectors a product.
+            true => (BASIS.0 / (2 * std::mem::size_of_val(right))).clamp(BASIS.1, PRODUCTS.0),
+            false => PRODUCTS.0,
+        };
+        let most = (each, PRODUCTS.1);
+        solve_scaled(right, tolerance, most, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
     }
 }
 
 /// A solution by GMRES whose rows count by a scale, given the products with the matrix and with its preconditioner. `scale` multiplies
-/// numbers of rows, or divides by the same if it shall take them `back`. Adds the products that it took.
+/// numbers of rows, or divides by the same if it shall take them `back`. `most`: products before GMRES begins anew, and at most. Adds those
+/// that it took.
 pub(super) fn solve_scaled(
     right: &[f64],
     tolerance: f64,
+    most: (usize, usize),
     times: &dyn Fn(&[f64]) -> Vec<f64>,
     precondition: &dyn Fn(&[f64]) -> Vec<f64>,
     scale: &dyn Fn(&mut [f64], bool),
@@ -551,7 +562,7 @@ pub(super) fn solve_scaled(
     };
     let mut right = right.to_vec();
     scale(&mut right, false);
-    let found = gmres_restarted(&right, tolerance, PRODUCTS, &times, &precondition);
+    let found = gmres_restarted(&right, tolerance, most, &times, &precondition);
     *products += count.get();
     found
 }
