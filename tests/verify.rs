@@ -332,6 +332,24 @@ fn deep_walls_of_the_standard_formulation_stay_covered() {
     assert!(error.contains("moving particles only"), "{error}");
 }
 
+/// With fixed particles the slopes of the best wall at both ends of the hot section are part of the error of a gain of heat.
+#[test]
+fn slopes_at_the_ends_of_the_hot_section_are_an_error_of_the_gain() {
+    let of = |sets: &[&str]| {
+        let same = verification(sets);
+        let best = Shape::new(vec![0.26, 0.5, 0.74], vec![0.01, 0.0, -0.006], 0.25, 0.75).unwrap();
+        Verification { best, ..same }.least()
+    };
+    // 0.01 and 0.006 over 0.13, from the middle between nodes before the hot section to the first one.
+    let [share, least] = of(&["method.name=fixed"]);
+    assert!(share == 0.06 && (least - 1.4e-3 * 0.016 / 0.13).abs() < 1e-12, "{least}");
+    for other in ["method.name=consistent", "objective.kind=flow-rate", "design.walls=both", "fluid.drive=flow-rate"] {
+        let rate = "fluid.flow_rate=0.15";
+        let sets = ["method.name=fixed", other, rate];
+        assert_eq!(of(&sets[..if other.contains("drive") { 3 } else { 2 }]), [0.1, 0.0], "{other}");
+    }
+}
+
 /// What is left of a gain is the gain less its error, whose parts are those of the checks.
 #[test]
 fn a_gain_survives_less_its_error() {
@@ -346,6 +364,7 @@ fn a_gain_survives_less_its_error() {
         finer: 0.5,
         order: 2.0,
         moves: false,
+        least: [0.1, 0.0],
         reference_name: "the flat wall",
         checks,
         seconds: 1.0,
@@ -373,6 +392,8 @@ fn a_gain_survives_less_its_error() {
     // Both figures changed alike: no less than a tenth of the gain.
     checks[1] = finding(Check::FinerSpacing, Ok((1.2, 1.2 * 1.02)));
     close(verified(checks.clone()).error().unwrap().discretisation, 0.1 * 0.02);
+    let sloping = Verified { least: [0.06, 0.0013], ..verified(checks.clone()) };
+    close(sloping.error().unwrap().discretisation, 0.0013);
     // Without a finer spacing particles of the other kind tell the error; they have another seed.
     checks[1] = finding(Check::OtherMotion, Ok((1.0, 1.04)));
     checks[2] = finding(Check::OtherSeed, Ok((1.0, 1.0402)));
