@@ -18,10 +18,10 @@ pub enum Error {
     #[error("{0}")]
     Input(Box<BadInput>),
     /// Detected while running.
-    #[error("{problem}\n  try: {advice}")]
+    #[error("{problem}{}", tried(advice))]
     Run { problem: String, advice: String },
     /// A run whose numbers left all bounds: its input is not one to use, but another may be.
-    #[error("{problem}\n  try: {advice}")]
+    #[error("{problem}{}", tried(advice))]
     Diverged { problem: String, advice: String, offence: Option<Box<Offence>> },
     /// Somebody asked to stop, see [`crate::numerics::interrupt`].
     #[error("stopped by a signal")]
@@ -37,6 +37,15 @@ pub struct Offence {
     pub position: Vec<f64>,
     pub quantity: String,
     pub value: f64,
+}
+
+/// The last line of an error, where something can be tried.
+fn tried(advice: &str) -> String {
+    if advice.is_empty() {
+        String::new()
+    } else {
+        format!("\n  try: {advice}")
+    }
 }
 
 impl Error {

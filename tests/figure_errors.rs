@@ -132,6 +132,26 @@ fn any_height_has_errors() {
     assert!(record["q_error"].as_f64().unwrap() > 0.0 && share("pumping_power") < 0.005, "{record}");
 }
 
+/// A wall of offsets is the same at coarser spacings, which would have other nodes; a named one is that of the scene's spacing.
+#[test]
+fn errors_are_those_of_the_same_wall() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let offsets: Vec<f64> = (0..25).map(|k| ((1e6 * 0.01 * (0.7 * f64::from(k)).sin()).round()) / 1e6).collect();
+    let given = format!("design.offsets={offsets:?}");
+    let sets = ["method.name=fixed", "time.end=0.3", "objective.window=0.1", "output.frames=0"];
+    for (name, wall) in [("given", given.as_str()), ("random", "design.shape=random")] {
+        let sets = sets.iter().chain(std::iter::once(&wall)).flat_map(|set| ["--set", *set]);
+        let words = ["simulate", "heated-channel", "--error", "--out", name];
+        succeeds(at, &words.into_iter().chain(sets).collect::<Vec<_>>());
+        let record = summary(&at.join(name));
+        // Another random wall has a flow rate that is several per cent different.
+        let rate = record["errors"].as_array().unwrap().iter().find(|one| one["name"] == "flow_rate").unwrap();
+        let share = rate["parts"]["discretisation"].as_f64().unwrap() / rate["value"].as_f64().unwrap();
+        assert!(share > 0.0 && share < 0.01, "{name}: {rate}");
+    }
+}
+
 fn summary(folder: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
 }

@@ -5,7 +5,7 @@ use hydrograd::config::method::Method;
 use hydrograd::config::scene::{Config, Family};
 use hydrograd::config::suggest::assignments;
 use hydrograd::design::diagnostics::simulate;
-use hydrograd::design::diagnostics::{drift, Diagnostics};
+use hydrograd::design::diagnostics::{drift, unsettled, Diagnostics};
 use hydrograd::design::optimise::{Epoch, Optimisation};
 use hydrograd::design::optimisers::of_config;
 use hydrograd::error::Error;
@@ -175,6 +175,25 @@ fn a_drift_is_a_change_of_means() {
     assert!((series(&|t| 0.0235 * (1.0 - 0.04 * t)).unwrap() + 0.02 / 0.98).abs() < 1e-3);
     assert!(series(&|t| 0.0235 * (1.0 + 0.02 * (400.0 * t).sin())).unwrap().abs() < 1e-3);
     assert_eq!((drift(&[1.0, 2.0]), drift(&[0.0; 8])), (None, None));
+}
+
+#[test]
+fn what_is_left_to_a_steady_value_is_seen_in_its_last_changes() {
+    let series = |of: &dyn Fn(f64) -> f64| (0..100).map(|k| of(k as f64 / 100.0)).collect::<Vec<_>>();
+    // It is as far as an exponential still goes, slow or fast; of what has only begun to change it is a large part.
+    for rate in [0.7, 2.0, 4.0] {
+        let values = series(&|t| 3.0 - 0.2 * (-rate * t).exp());
+        let left = 3.0 - values.iter().sum::<f64>() / 100.0;
+        assert!((0.9999..1.03).contains(&(unsettled(&values).unwrap() / left)), "{rate} {left} {:?}", unsettled(&values));
+    }
+    let begun = series(&|t| (2.0 * t).exp());
+    let change = begun[50..].iter().sum::<f64>() / 50.0 - begun[..50].iter().sum::<f64>() / 50.0;
+    assert!((unsettled(&begun).unwrap() / change - 9.5).abs() < 1e-9);
+    // Noise, and what swings, does not go anywhere: the halves' difference is all.
+    let noise = series(&|t| 1.0 + 0.1 * (1e4 * t).sin());
+    let change = noise[50..].iter().sum::<f64>() / 50.0 - noise[..50].iter().sum::<f64>() / 50.0;
+    assert!((unsettled(&noise).unwrap() - change.abs()).abs() < 1e-15);
+    assert_eq!((unsettled(&[1.0; 7]), unsettled(&[2.0; 8])), (None, Some(0.0)));
 }
 
 /// The codes of what looks implausible in a scene.

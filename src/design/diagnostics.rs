@@ -48,6 +48,19 @@ pub struct Diagnostics {
     /// What the scatter of their samples leaves open of the means of Q and of the flow rate, for 19 of 20 windows; none for few samples.
     pub q_sampling: Option<f64>,
     pub flow_rate_sampling: Option<f64>,
+    pub unsettled: Unsettled,
+}
+
+/// How far means over the window are from the values that the figures go to, see [`unsettled`]; none for few samples.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Unsettled {
+    pub q: Option<f64>,
+    pub flow_rate: Option<f64>,
+    pub wall_heat_flux: Option<f64>,
+    pub mean_outlet_temperature: Option<f64>,
+    pub mean_temperature: Option<f64>,
+    pub u_max: Option<f64>,
+    pub pumping_power: Option<f64>,
 }
 
 impl Diagnostics {
@@ -235,6 +248,15 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
             flow_rate_drift: drift(&flow_series),
             q_sampling: sampling(&q_series),
             flow_rate_sampling: sampling(&flow_series),
+            unsettled: Unsettled {
+                q: unsettled(&q_series),
+                flow_rate: unsettled(&flow_series),
+                wall_heat_flux: unsettled(&self.series(|it| it.wall)),
+                mean_outlet_temperature: unsettled(&self.series(|it| it.q / it.mass_flow)),
+                mean_temperature: unsettled(&self.series(|it| it.temperature)),
+                u_max: unsettled(&self.series(|it| it.u_max)),
+                pumping_power: unsettled(&self.series(|it| it.power)),
+            },
         }
     }
 }
@@ -248,6 +270,26 @@ pub fn drift(values: &[f64]) -> Option<f64> {
     }
     let drift = (mean(&values[half..]) - mean(&values[..half])) / mean(values);
     Some(drift).filter(|drift| drift.is_finite())
+}
+
+/// How far the mean of a series is from the value that it goes to; none for fewer than eight values.
+///
+/// It is the change from the first half to the second. If that stands out of the samples' scatter and all four quarters m_k go the same way,
+/// the value is that of m_k = m + a r^k: the halves change by d, the quarters in each by r^2 = (m_4 - m_3) / (m_2 - m_1), and the mean is
+/// d (1 + r^2) / (2 (1 - r^2)) from m (Aitken 1926). Where r^2 is above 0.9, as of a figure that has only begun to change, it is taken as 0.9.
+pub fn unsettled(values: &[f64]) -> Option<f64> {
+    const SLOWEST: f64 = 0.9;
+    let quarter = values.len() / 4;
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    if quarter < 2 {
+        return None;
+    }
+    let change = mean(&values[values.len() / 2..]) - mean(&values[..values.len() / 2]);
+    let quarters: Vec<f64> = values.chunks_exact(quarter).take(4).map(mean).collect();
+    let share = ((quarters[3] - quarters[2]) / (quarters[1] - quarters[0])).min(SLOWEST);
+    let goes_on = change.abs() > 2.0 * sampling(values)? && share > 0.0 && change * (quarters[1] - quarters[0]) > 0.0;
+    let factor = if goes_on { 0.5 * (1.0 + share) / (1.0 - share) } else { 1.0 };
+    Some(factor.max(1.0) * change.abs()).filter(|distance| distance.is_finite())
 }
 
 /// Twice the standard error of a mean of samples that depend on each other: the largest one that blocks of 1, 2, 4, ... samples show, as

@@ -204,17 +204,17 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
     found
 }
 
-/// What the averages over the window say of their own error: the change from its first to its second half where the flow is to become
-/// steady, and what their samples' scatter makes of the mean.
+/// What the averages over the window say of their own error: how far they are from what they go to where the flow is to become steady, and
+/// what their samples' scatter makes of the mean.
 fn of_window(config: &Config, record: &Record, name: &str, value: f64) -> Parts {
-    let averaged = ["q", "flow_rate"]
-        .into_iter()
-        .find(|of| *of == name || (name == "objective" && record.number(of) == Some(value)));
-    let of =
-        |what: &str| averaged.and_then(|averaged| record.number(&format!("{averaged}_{what}"))).map_or(0.0, f64::abs);
+    let unsettled = record.0.get("unsettled").and_then(Value::as_object);
+    let is_it = |of: &str| of == name || (name == "objective" && record.number(of) == Some(value));
+    let iteration = unsettled.and_then(|all| all.iter().find(|(of, _)| is_it(of))?.1.as_f64());
+    let averaged = ["q", "flow_rate"].into_iter().find(|of| is_it(of));
+    let sampling = averaged.and_then(|averaged| record.number(&format!("{averaged}_sampling")));
     Parts {
         discretisation: 0.0,
-        iteration: if config.settles() { of("drift") * value.abs() } else { 0.0 },
-        sampling: if config.method.facts().moves { of("sampling") } else { 0.0 },
+        iteration: iteration.unwrap_or(0.0),
+        sampling: if config.method.facts().moves { sampling.unwrap_or(0.0) } else { 0.0 },
     }
 }

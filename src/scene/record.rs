@@ -75,6 +75,13 @@ impl Record {
         if !config.heat_passes() {
             leave_out(&["energy_imbalance"]);
         }
+        if !config.settles() {
+            leave_out(&["unsettled"]);
+        }
+        let figures: Vec<String> = record.0.keys().cloned().collect();
+        if let Some(Value::Object(unsettled)) = record.0.get_mut("unsettled") {
+            unsettled.retain(|name, _| figures.contains(name));
+        }
         record
     }
 
