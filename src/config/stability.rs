@@ -11,7 +11,8 @@
 //! | standard | heated channel, Taylor-Green | 2 | 2.3 | 1.6 |
 //! | standard, free surface | dam break, the finest spacing | 1 | 1.5 | 0.8 |
 //!
-//! Fixed particles were not mapped: 0.9 is three quarters of the 1.2 that was found to hold over gentle walls.
+//! Fixed particles were not mapped: 0.9 is three quarters of the 1.2 that was found to hold over gentle walls. In fast flows their steps are
+//! shorter, see [`crate::config::method::fixed`].
 
 use crate::config::notation::{self, Written};
 use serde::Deserializer;

@@ -24,7 +24,8 @@
 //!
 //! A step (symplectic) computes M, kicks u and v (with the kick of a [`crate::sph::laws::drive::Drive`]), computes M
 //! again for the new velocities, and advances rho and T by it. Mass is conserved to rounding. The steady state does not
-//! depend on the time step; at H = 0.2 over walls of +-0.02 its Q is within 0.3 % (dx = 0.02) of finite elements. dt is at most 1.2 dx/(c + u), and limited by diffusion.
+//! depend on the time step; at H = 0.2 over walls of +-0.02 its Q is within 0.3 % (dx = 0.02) of finite elements. dt is at most 1.2 dx/(c + u),
+//! and so short that sound does not grow in the flow ([`crate::config::method::fixed`]); and limited by diffusion.
 //!
 //! The method needs a channel with rows from wall to wall, periodic in x. Sources: Antuono et al. 2010 (delta term with
 //! gradient correction); Morris, Fox and Zhu 1997 (viscosity, boundary values); Bonet and Lok 1999 (kernels with
