@@ -158,6 +158,20 @@ fn errors_are_those_of_the_same_wall() {
     }
 }
 
+/// No spacing makes a flow steady: the first run says what does.
+#[test]
+fn an_accuracy_of_what_is_not_steady_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let sets = ["method.name=fixed", "fluid.body_force=0.5", "time.end=1.5", "output.frames=0"];
+    let words = ["simulate", "heated-channel", "--accuracy", "0.5%", "--out", "run"];
+    let sets = sets.iter().flat_map(|set| ["--set", *set]);
+    let refused = hydrograd(folder.path(), &words.into_iter().chain(sets).collect::<Vec<_>>());
+    let text = String::from_utf8_lossy(&refused.stderr).to_string();
+    assert_eq!(refused.status.code(), Some(1), "{text}");
+    let (said, advised) = ("no spacing gives q to 0.50 %: it still has", "try: --set time.end=3.000");
+    assert!(text.contains(said) && text.contains(advised), "{text}");
+}
+
 fn summary(folder: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
 }

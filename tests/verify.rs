@@ -350,6 +350,22 @@ fn slopes_at_the_ends_of_the_hot_section_are_an_error_of_the_gain() {
     }
 }
 
+/// Gains of steady flows around shapes in the plane are right to less than a hundredth of them.
+#[test]
+fn gains_around_shapes_have_a_smaller_error() {
+    let of = |scene: &str, sets: &[&str]| {
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        let loaded = Config::load(Some(&format!("data/scenes/examples/{scene}.toml")), None, &sets).unwrap();
+        let none = Shape::of_numbers(vec![]);
+        Verification { loaded, reference: none.clone(), best: none, reference_name: "the first design", quick: false }
+            .least()
+    };
+    assert_eq!(of("least-drag", &[]), [0.02, 0.0]);
+    assert_eq!(of("least-drag", &["method.flow=unsteady", "time.end=1"]), [0.1, 0.0]);
+    // Moving particles.
+    assert_eq!(of("wake", &[]), [0.1, 0.0]);
+}
+
 /// What is left of a gain is the gain less its error, whose parts are those of the checks.
 #[test]
 fn a_gain_survives_less_its_error() {

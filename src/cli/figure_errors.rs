@@ -130,13 +130,19 @@ impl Spacings {
                 return Err(BadInput::new(problem).place("--accuracy").allowed("scenes with an objective").into());
             };
             last = main.error / main.value.abs();
+            let unsettled = main.parts.iteration / main.value.abs();
+            let of_window = unsettled + main.parts.sampling / main.value.abs();
+            if of_window >= accuracy {
+                return Err(out_of_reach(&at, main, accuracy, unsettled >= 0.5 * of_window).into());
+            }
             println!("spacing {dx:.6}: {} {:.6} +- {:.1e} ({:.2} %)", main.name, main.value, main.error, 100.0 * last);
             let is_coarser = best.as_ref().is_none_or(|best| dx > best.config.resolution.dx);
             if last <= accuracy && is_coarser {
                 best = Some(at.clone());
             }
             let order = order(&at.config, &main.name);
-            let next = (dx * (AIM * accuracy / last).powf(1.0 / order)).max(FINEST * loaded.config.resolution.dx);
+            let share = AIM * (accuracy - of_window) / (last - of_window);
+            let next = (dx * share.powf(1.0 / order)).max(FINEST * loaded.config.resolution.dx);
             // A larger one saves time only if it is much larger.
             if best.is_some() && next < 1.2 * dx {
                 break;
@@ -157,6 +163,23 @@ impl Spacings {
                 .into()
         })
     }
+}
+
+/// An error of a figure that no spacing makes smaller: of its distance from what it goes to, or of the scatter of samples.
+fn out_of_reach(loaded: &Loaded, main: &FigureError, accuracy: f64, goes_on: bool) -> Error {
+    let (config, percent) = (&loaded.config, |part: f64| 100.0 * part / main.value.abs());
+    let (why, advice) = match goes_on {
+        true => {
+            let problem = format!("it still has {:.2} % to go when the run ends", percent(main.parts.iteration));
+            (problem, format!("time.end={:.3}", 2.0 * config.duration()))
+        }
+        false => {
+            let problem = format!("the scatter of its samples makes {:.2} %", percent(main.parts.sampling));
+            (problem, format!("objective.window={:.3}", 2.0 * config.objective.window))
+        }
+    };
+    let wanted = 100.0 * accuracy;
+    Error::run(format!("no spacing gives {} to {wanted:.2} %: {why}", main.name), advice)
 }
 
 /// The record of a finished run.

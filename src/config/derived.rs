@@ -101,7 +101,7 @@ impl Config {
         PlaneChannel {
             length: self.channel.length,
             height: self.channel.height,
-            speed: self.plane_speed(),
+            speed: self.plane_speed().abs(),
             sound_speed: self.sound_speed(),
             kinematic_viscosity: self.kinematic_viscosity(),
             spacing: self.resolution.dx,

@@ -121,6 +121,9 @@ const ALIKE: f64 = 0.5;
 const LEAST: f64 = 0.1;
 /// The same where the error at the ends of the hot section is known.
 const LEAST_BETWEEN: f64 = 0.06;
+/// The same of steady flows of fixed particles around shapes in the plane. (In twelve searches at random, for the drag or the heat of an ellipse or a spline
+/// in a channel, gains of 6 to 25 % are within 0.0005 of those of finite elements, less than a hundredth of the gain.)
+const LEAST_AROUND: f64 = 0.02;
 /// The error of heat by the slopes of the wall at both ends of the hot section, which other spacings do not show. (In 38 channels of random height,
 /// viscosity, conductivity, force and hot section the gains of `optimize` are 0.07 % of Q less than by finite elements, and 0.28 % more for each
 /// slope at the beginning, 0.12 % less for each at the end; why is not known.)
@@ -323,7 +326,8 @@ impl Verification {
             && config.fluid.drive == DriveName::BodyForce
             && config.objective.kind == ObjectiveKind::HeatOutflow;
         if !is_known {
-            return [LEAST, 0.0];
+            let is_around = config.is_around_shapes() && config.dimension() == 2 && config.unsteady().is_none();
+            return [if is_around { LEAST_AROUND } else { LEAST }, 0.0];
         }
         let quarter = 0.25 * config.resolution.dx;
         let slope = |wall: &Shape, x: f64| (wall.surface(x + quarter) - wall.surface(x - quarter)) / (2.0 * quarter);

@@ -251,7 +251,7 @@ impl Config {
             if x.is_some() {
                 return Err(bad(key, "with method.name = fixed, whose flow is steady everywhere".into()).allowed(
                     "region.sides with left = { kind = \"inflow\", velocity = [..], temperature = .. } and an outflow",
-                ));
+                ).advice("method.name=consistent"));
             }
         }
         let has_heat = self.initial.temperature.is_some();
