@@ -600,9 +600,9 @@ def around():
             found = json.loads(line.split(" ", 1)[1])["shapes"]
             drag, lift = (sum(f["force"][k] for f in found) for k in (0, 1))
             values.append({"drag": drag, "lift_over_drag": lift / drag}.get(key) or sum(f.get("heat", 0) for f in found))
-        rows.append([name, key, len(s["variables"]), f"{s[key + '_first']:.5f}", f"{s[key]:.5f}", percent(s[key], s[key + "_first"]), f"{100 * s['gain_survives']:+.2f} %",
+        rows.append([name, key, len(s["variables"]), f"{s[key + '_first']:.5f}", f"{s[key]:.5f}", percent(s[key], s[key + "_first"]), f"{100 * s['gain']:+.2f} +- {100 * s['gain_error']:.2f} %",
                      f"{values[0]:.5f}", f"{values[1]:.5f}", percent(values[1], values[0]), f"{sum(s['seconds_per_epoch']):.1f}, {seconds:.1f}"])
-    return table(["example", "objective", "numbers", "first", "best", "change", "survives", "finite elements: first", "best", "change", "seconds of search, of the command"], rows)
+    return table(["example", "objective", "numbers", "first", "best", "change", "gain with half the spacing", "finite elements: first", "best", "change", "seconds of search, of the command"], rows)
 
 
 def busy():
