@@ -111,6 +111,14 @@ def run(*words):
         return json.load(file)
 
 
+def conclude(found):
+    """Says how many errors hold, given (true error, error, unit) of figures by name, and ends."""
+    for name, all_of_it in found.items():
+        off, error, unit = np.array(all_of_it).T
+        print(f"{name}: {len(off)}, {100 * np.mean(off <= error):.0f} % inside, error over true error {np.median(error / np.maximum(off, 1e-12)):.1f}, true error {100 * np.median(off / unit):.2f} %, error {100 * np.median(error / unit):.2f} % (medians)")
+    sys.exit(not found)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["figures", "gain"])
@@ -130,10 +138,7 @@ def main():
                     found.setdefault(name.split()[0], []).append((abs(off), error, abs(unit)))
                     told.append(f"{name} {100 * off / abs(unit):+.3f} ({100 * error / abs(unit):.3f}){'' if abs(off) <= error else ' OUT'}")
             print(f"{turn:3d} {'; '.join(told)}", flush=True)
-    for name, all_of_it in found.items():
-        off, error, unit = np.array(all_of_it).T
-        print(f"{name}: {len(off)}, {100 * np.mean(off <= error):.0f} % inside, error over true error {np.median(error / np.maximum(off, 1e-12)):.1f}, true error {100 * np.median(off / unit):.2f} %, error {100 * np.median(error / unit):.2f} % (medians)")
-    sys.exit(not found)
+    conclude(found)
 
 
 if __name__ == "__main__":

@@ -39,8 +39,8 @@ pub struct Offence {
     pub value: f64,
 }
 
-/// The last line of an error, where something can be tried.
-fn tried(advice: &str) -> String {
+/// The last line of an error or a warning, where something can be tried.
+pub fn tried(advice: &str) -> String {
     if advice.is_empty() {
         String::new()
     } else {

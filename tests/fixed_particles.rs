@@ -429,7 +429,6 @@ fn the_heat_of_the_walls_flows_out() {
     assert!((one / other - 1.0).abs() < 1.5e-3, "{one} {other}");
 }
 
-/// Rows of nodes and Q of finite elements.
 /// Sound that runs with a fast flow grows in steps that sound in a fluid at rest allows, and not in those of the configuration.
 #[test]
 fn steps_are_so_short_that_sound_does_not_grow_in_the_flow() {
@@ -454,6 +453,7 @@ fn steps_are_so_short_that_sound_does_not_grow_in_the_flow() {
     assert!(!still_finite(1.08 * usual));
 }
 
+/// Rows of nodes and Q of finite elements.
 fn reference_shapes() -> Vec<(String, f64, Vec<f64>)> {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("data/reference/fem-shapes-H0.2.csv");
     let text = std::fs::read_to_string(path).unwrap();

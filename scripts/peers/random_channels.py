@@ -12,18 +12,17 @@ each channel: how far the figure is from finite elements (channel_fem.py, on its
 many hold, and how much larger than the true error the error is in the middle.
 """
 import argparse
-import json
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 import channel_fem as fem
 import numpy as np
 
-PROGRAM = os.environ.get("HYDROGRAD", os.path.join(fem.ROOT, "target/release/hydrograd"))
+sys.path.insert(0, os.path.join(fem.ROOT, "scripts"))
+from random_bodies import conclude, run
+
 # Reynolds number above which a flow is left out.
 FASTEST = 70
 
@@ -59,12 +58,7 @@ class Channel:
         """The summary of a run, or none."""
         shutil.rmtree(folder, ignore_errors=True)
         sets = [word for setting in self.settings for word in ("--set", setting)]
-        done = subprocess.run([PROGRAM, words[0], "heated-channel", *words[1:], "--threads", "1", "--out", folder, *sets], capture_output=True, text=True)
-        if done.returncode:
-            print(f"  ended with {done.returncode}: {done.stderr.strip()[:300]}", flush=True)
-            return None
-        with open(os.path.join(folder, "summary.json")) as file:
-            return json.load(file)
+        return run(words[0], "heated-channel", *words[1:], "--out", folder, *sets)
 
     def finite_elements(self, folder):
         """Q over the flat wall and over that of a run."""
@@ -107,12 +101,9 @@ def main():
             if channel.speed * channel.height / channel.viscosity > FASTEST:
                 continue
             for name, off, error in {"q": q, "gain": gain}[options.what](channel, os.path.join(folder, "run"), turn):
-                found.setdefault(name, []).append((abs(off), error))
+                found.setdefault(name, []).append((abs(off), error, 1.0))
                 print(f"{turn:3d} {channel.told()}: {name} {100 * off:+.3f} error {100 * error:.3f}{'' if abs(off) <= error else ' OUT'}", flush=True)
-    for name, pairs in found.items():
-        off, error = np.array(pairs).T
-        print(f"{name}: {len(off)}, {100 * np.mean(off <= error):.0f} % inside, error over true error {np.median(error / np.maximum(off, 1e-12)):.1f}, true error {100 * np.median(off):.2f} %, error {100 * np.median(error):.2f} % (medians)")
-    sys.exit(not found)
+    conclude(found)
 
 
 if __name__ == "__main__":

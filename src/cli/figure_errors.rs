@@ -12,7 +12,7 @@ use crate::report::table::Table;
 use crate::scene::figure_error::{errors, length_in, main_figure, order, FigureError};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
-use crate::scene::verification::same_wall;
+use crate::scene::verification::with_its_wall;
 use clap::Args;
 use std::path::Path;
 use std::process::Stdio;
@@ -84,7 +84,7 @@ impl Spacings {
 
     /// The records at two coarser spacings that suit the scene.
     fn coarser(&mut self, loaded: &Loaded) -> anyhow::Result<Vec<(f64, Record)>> {
-        let own = coarser_spacings(loaded);
+        let own = coarser_spacings(&with_its_wall(loaded)?);
         let bar = Progress::new(own.len() as u64, "coarser spacings");
         let (mut found, mut failure) = (vec![], None);
         for one in &own {
@@ -116,6 +116,7 @@ impl Spacings {
     /// There is none down to an eighth of the scene's spacing.
     pub fn accurate(&mut self, loaded: &Loaded, accuracy: f64) -> anyhow::Result<Loaded> {
         let (mut at, mut best) = (loaded.clone(), None::<Loaded>);
+        let same = with_its_wall(loaded)?;
         let mut last = f64::NAN;
         for _ in 0..TRIES {
             let dx = at.config.resolution.dx;
@@ -148,7 +149,7 @@ impl Spacings {
                 break;
             }
             let next = loaded.config.spacing_up_to(next).unwrap_or(next);
-            match same_at(loaded, next) {
+            match same.with(&at_spacing(&same, next)) {
                 Ok(other) if (next / dx - 1.0).abs() > SAME => at = other,
                 _ => break,
             }
@@ -196,11 +197,6 @@ pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
     std::iter::once(Setting::set(&format!("resolution.dx={dx}"))).chain(loaded.same_time()).collect()
 }
 
-/// The scene with its wall and another spacing.
-fn same_at(loaded: &Loaded, dx: f64) -> Result<Loaded, BadInput> {
-    loaded.with(&[same_wall(&loaded.config)?, at_spacing(loaded, dx)].concat())
-}
-
 /// The settings of a heated channel with so many rows, whatever its height: where no coarser spacing divides both height and length, the
 /// length is the next one that it divides, and the outlet begins where it did. (What lies behind the section where the heat is measured
 /// hardly changes it; 13 rows of 0.02 become 10 of 0.026 and a length of 0.988.)
@@ -218,12 +214,10 @@ fn at_rows(loaded: &Loaded, rows: f64) -> Option<(f64, Vec<Setting>)> {
 fn coarser_spacings(loaded: &Loaded) -> Vec<Loaded> {
     let config = &loaded.config;
     let dx = config.resolution.dx;
-    let wall = same_wall(config).unwrap_or_default();
     let mut found: Vec<Loaded> = vec![];
     for ratios in RATIOS {
         let largest = found.last().map_or(dx, |last| last.config.resolution.dx);
         let allowed = |spacing: f64, settings: Vec<Setting>| {
-            let settings = [wall.clone(), settings].concat();
             (spacing > (1.0 + 2.0 * SAME) * largest).then(|| loaded.with(&settings).ok()).flatten()
         };
         let one = ratios.iter().find_map(|ratio| {

@@ -6,7 +6,7 @@ use std::panic::{catch_unwind, AssertUnwindSafe};
 
 use super::arguments::with_options;
 use super::machine;
-use crate::error::{exit_code, Error, EXIT_INTERNAL};
+use crate::error::{exit_code, tried, Error, EXIT_INTERNAL};
 use crate::numerics::interrupt;
 use crate::report::text::shown;
 use crate::report::VERSION;
@@ -80,8 +80,7 @@ fn tell(text: &str) {
 
 /// Prints a warning with advice to stderr.
 pub(super) fn warn(problem: &str, advice: &str) {
-    let advice = if advice.is_empty() { String::new() } else { format!("\n  try: {advice}") };
-    complain(&shown(&with_options(&format!("warning: {problem}{advice}"))));
+    complain(&shown(&with_options(&format!("warning: {problem}{}", tried(advice)))));
 }
 
 /// Prints a line to stderr. If stderr is closed the line is lost (`eprintln!` would panic).

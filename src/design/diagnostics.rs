@@ -2,7 +2,7 @@
 
 use super::deformation::Map;
 use super::objectives::outlet::{Flows, Outlet};
-use super::problem::Problem;
+use super::problem::{mean, Problem};
 use crate::adjoint::run::{run, Observer};
 use crate::adjoint::Dynamics;
 use crate::config::device::Compute;
@@ -261,15 +261,18 @@ impl<'a, R: Sweeps> Measurement<'a, R> {
     }
 }
 
+/// Change of a series from its first half to its second.
+fn change_of_halves(values: &[f64]) -> f64 {
+    let (first, second) = values.split_at(values.len() / 2);
+    mean(second) - mean(first)
+}
+
 /// Change of a series from its first half to its second, relative to the mean; none for fewer than four values.
 pub fn drift(values: &[f64]) -> Option<f64> {
-    let half = values.len() / 2;
-    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-    if half < 2 {
+    if values.len() < 4 {
         return None;
     }
-    let drift = (mean(&values[half..]) - mean(&values[..half])) / mean(values);
-    Some(drift).filter(|drift| drift.is_finite())
+    Some(change_of_halves(values) / mean(values)).filter(|drift| drift.is_finite())
 }
 
 /// How far the mean of a series is from the value that it goes to; none for fewer than eight values.
@@ -279,15 +282,11 @@ pub fn drift(values: &[f64]) -> Option<f64> {
 /// d (1 + r^2) / (2 (1 - r^2)) from m (Aitken 1926). Where r^2 is above 0.9, as of a figure that has only begun to change, it is taken as 0.9.
 pub fn unsettled(values: &[f64]) -> Option<f64> {
     const SLOWEST: f64 = 0.9;
-    let quarter = values.len() / 4;
-    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-    if quarter < 2 {
-        return None;
-    }
-    let change = mean(&values[values.len() / 2..]) - mean(&values[..values.len() / 2]);
-    let quarters: Vec<f64> = values.chunks_exact(quarter).take(4).map(mean).collect();
-    let share = ((quarters[3] - quarters[2]) / (quarters[1] - quarters[0])).min(SLOWEST);
-    let goes_on = change.abs() > 2.0 * sampling(values)? && share > 0.0 && change * (quarters[1] - quarters[0]) > 0.0;
+    let (scatter, change) = (sampling(values)?, change_of_halves(values));
+    let quarters: Vec<f64> = values.chunks_exact(values.len() / 4).take(4).map(mean).collect();
+    let (early, late) = (quarters[1] - quarters[0], quarters[3] - quarters[2]);
+    let share = (late / early).min(SLOWEST);
+    let goes_on = change.abs() > 2.0 * scatter && share > 0.0 && change * early > 0.0;
     let factor = if goes_on { 0.5 * (1.0 + share) / (1.0 - share) } else { 1.0 };
     Some(factor.max(1.0) * change.abs()).filter(|distance| distance.is_finite())
 }

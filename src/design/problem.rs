@@ -70,7 +70,7 @@ fn unexpected(error: impl std::fmt::Display) -> Error {
     Error::run(error.to_string(), "report this")
 }
 
-fn mean(values: &[f64]) -> f64 {
+pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 

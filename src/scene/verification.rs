@@ -452,11 +452,8 @@ pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
         let points = SplineSurface::of_config(config, &[]).fitted(&wall.nodes, across, &wall.offsets);
         return vec![Setting::set(&format!("design.offsets={points:?}"))];
     }
-    let mut settings = vec![
-        format!("design.nodes={:?}", wall.nodes),
-        format!("design.offsets={:?}", wall.offsets),
-        "design.parametrisation=nodes".to_string(),
-    ];
+    let mut settings = at_nodes(wall).to_vec();
+    settings.push("design.parametrisation=nodes".to_string());
     if wall.top.is_some() || config.design.walls == DesignWalls::Both {
         // A wall without a top has a flat one, also where the scene's is shaped.
         settings.push(format!("design.top_offsets={:?}", wall.top_wall().offsets));
@@ -465,21 +462,26 @@ pub fn wall_settings(wall: &Shape, config: &Config) -> Vec<Setting> {
     settings.iter().map(|text| Setting::set(text)).collect()
 }
 
-/// The settings that keep the wall of a channel at another spacing, which would have other nodes; none of a flat one.
+/// The heights of a wall at its nodes.
+fn at_nodes(wall: &Shape) -> [String; 2] {
+    [format!("design.nodes={:?}", wall.nodes), format!("design.offsets={:?}", wall.offsets)]
+}
+
+/// A scene whose wall stays the same at another spacing, which would have other nodes.
 ///
 /// # Errors
 /// A wall that cannot be read.
-pub fn same_wall(config: &Config) -> Result<Vec<Setting>, BadInput> {
-    if config.scene != Family::HeatedChannel {
-        return Ok(vec![]);
+pub fn with_its_wall(loaded: &Loaded) -> Result<Loaded, BadInput> {
+    if loaded.config.scene != Family::HeatedChannel {
+        return Ok(loaded.clone());
     }
-    let wall = Shape::from_config(config)?;
+    let wall = Shape::from_config(&loaded.config)?;
     if wall.offsets.iter().chain(wall.top.iter().flatten()).all(|&offset| offset == 0.0) {
-        return Ok(vec![]);
+        return Ok(loaded.clone());
     }
-    let mut settings = vec![format!("design.nodes={:?}", wall.nodes), format!("design.offsets={:?}", wall.offsets)];
+    let mut settings = at_nodes(&wall).to_vec();
     settings.extend(wall.top.map(|top| format!("design.top_offsets={top:?}")));
-    Ok(settings.iter().map(|text| Setting::set(text)).collect())
+    loaded.with(&settings.iter().map(|text| Setting::set(text)).collect::<Vec<_>>())
 }
 
 /// The cost of a run: particles times steps.
