@@ -137,6 +137,9 @@ fn begun(out: &Path) -> Child {
     started(&mut long(out), &out.join("last.safetensors"))
 }
 
+/// mpirun kills ranks a second after the signal; on a busy machine their last step may take as long. (It waits twice as long as told.)
+const SECONDS_TO_STOP: &str = "3";
+
 /// The same command over ranks, whose messages go to a file: mpirun that is told to stop hands on only some of them.
 fn with_messages_in(file: &Path, command: &Command) -> Command {
     let program = assert_cmd::cargo::cargo_bin("hydrograd");
@@ -197,9 +200,8 @@ fn all_ranks_stop_together() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     let messages = folder.path().join("messages");
-    // mpirun kills ranks a second after the signal; on a busy machine their last step may take as long. (It waits twice as long.)
     let mut command = with_messages_in(&messages, &long(&out));
-    command.env("OMPI_MCA_odls_base_sigkill_timeout", "3");
+    command.env("OMPI_MCA_odls_base_sigkill_timeout", SECONDS_TO_STOP);
     let child = started(&mut command, &out.join("last.safetensors"));
     signal(i32::try_from(child.id()).unwrap(), libc::SIGTERM);
     // mpirun has a code of its own then.
@@ -337,7 +339,10 @@ fn a_flow_that_ended_early_goes_on() {
     let scene = "taylor-green --set time.step=0.0005 --set time.end=20";
     for end in ["killed", "stopped", "one-stopped", "unwritable"] {
         let out = folder.path().join(end);
-        let child = started(&mut simulate(2, scene, &out), &out.join("checkpoint.safetensors"));
+        let messages = folder.path().join(format!("{end}.messages"));
+        let mut command = with_messages_in(&messages, &simulate(2, scene, &out));
+        command.env("OMPI_MCA_odls_base_sigkill_timeout", SECONDS_TO_STOP);
+        let child = started(&mut command, &out.join("checkpoint.safetensors"));
         match end {
             "killed" => signal(ranks_of(&child)[1], libc::SIGKILL),
             "stopped" => signal(i32::try_from(child.id()).unwrap(), libc::SIGTERM),
@@ -349,7 +354,8 @@ fn a_flow_that_ended_early_goes_on() {
         }
         let clock = Instant::now();
         let output = child.wait_with_output().unwrap();
-        let (took, said) = (clock.elapsed(), String::from_utf8_lossy(&output.stderr));
+        let said = std::fs::read_to_string(&messages).unwrap() + &String::from_utf8_lossy(&output.stderr);
+        let took = clock.elapsed();
         assert!(took < Duration::from_secs(20) && !output.status.success(), "{end}: {took:?}, {said}");
         match end {
             "killed" => {
