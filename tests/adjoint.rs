@@ -1,7 +1,6 @@
 //! Gradients of runs: which states a schedule keeps, what that costs, and that it does not change the gradient.
 
 use crate::support::final_sum::{FinalSum, Summed};
-use crate::turn;
 use candle_core::Tensor;
 use hydrograd::adjoint::gradient::{gradient, Gradient};
 use hydrograd::adjoint::schedule::Schedule;
@@ -107,7 +106,7 @@ impl Objective for Root {
 /// walls' share of what it had gathered.
 #[test]
 fn a_gradient_is_clipped_where_it_grows() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let (channel, start) = channel::<f64>(FORMULATIONS[1], 200, &[]);
     let exact = Schedule::every_state(200, 0, false);
     let dynamics = Sph::new(channel.model.clone(), Kernels::Fused);
@@ -133,7 +132,7 @@ fn a_gradient_is_clipped_where_it_grows() {
 /// How the derivative by the state grows from the end to the start, and where it stops being a number.
 #[test]
 fn gradients_are_watched() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let (channel, start) = channel::<f64>(FORMULATIONS[1], 200, &[]);
     let found = run(&channel, &start, Schedule::every_state(200, 0, false));
     let steps: Vec<usize> = found.growth.iter().map(|(step, _)| *step).collect();
@@ -191,19 +190,19 @@ fn segments_equal_one_tape<R: Sweeps>(formulation: &str) {
 
 #[test]
 fn segments_equal_one_tape_bit_for_bit_in_f64() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     FORMULATIONS.into_iter().for_each(segments_equal_one_tape::<f64>);
 }
 
 #[test]
 fn segments_equal_one_tape_bit_for_bit_in_f32() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     FORMULATIONS.into_iter().for_each(segments_equal_one_tape::<f32>);
 }
 
 #[test]
 fn a_truncated_gradient_is_that_of_the_last_steps() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     for formulation in FORMULATIONS {
         truncated_is_of_the_last_steps(formulation);
     }
@@ -228,7 +227,7 @@ fn truncated_is_of_the_last_steps(formulation: &str) {
 
 #[test]
 fn composed_operators_give_the_same_gradient() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     for formulation in FORMULATIONS {
         composed_agrees(formulation);
     }
@@ -271,7 +270,7 @@ fn peak<R: Sweeps>(formulation: &str, steps: usize, schedule: Schedule) -> [(f64
 
 #[test]
 fn peak_memory_is_as_predicted() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     for formulation in FORMULATIONS {
         memory_is_as_predicted(formulation);
     }
@@ -316,7 +315,7 @@ fn memory_is_as_predicted(formulation: &str) {
 
 #[test]
 fn rounded_states_give_nearly_the_same_gradient() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     for formulation in FORMULATIONS {
         rounding_changes_little(formulation);
     }

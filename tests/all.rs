@@ -1,5 +1,5 @@
 //! The tests of the program and of the library, one module for each subject: one program, so that it is compiled and linked once.
-//! Those that change a setting of their whole process are in `apart.rs`.
+//! Those that change or measure something of their whole process run in one of their own (`support::apart`).
 
 mod support;
 
@@ -7,6 +7,7 @@ mod support;
 #[path = "tutorial.rs"]
 mod a_tutorial;
 
+mod adjoint;
 mod bad_input;
 mod bench;
 mod cloud;
@@ -24,6 +25,7 @@ mod design_command;
 mod design_optimisers;
 mod design_parametrisations;
 mod design_problem;
+mod device;
 mod division;
 mod evaluate;
 mod facets;
@@ -55,6 +57,7 @@ mod periodic_box;
 mod periods;
 mod plan;
 mod plots;
+mod process;
 mod random_configurations;
 mod ranks;
 mod readme;

@@ -1,7 +1,7 @@
 //! Parametrisations: each is its linear map, its adjoint, and what it promises about area, bounds and slopes.
 
 use hydrograd::design::parametrisations::numbers::Numbers;
-use hydrograd::design::parametrisations::{BSpline, Nodes, TwoWalls};
+use hydrograd::design::parametrisations::{BSpline, Nodes, Polygon, TwoWalls};
 use hydrograd::design::shape::{default_nodes, HotSection, Shape, MAX_SLOPE};
 use hydrograd::design::Parametrisation;
 use hydrograd::numerics::random::{stream, uniform};
@@ -85,6 +85,47 @@ fn a_column_s_height_is_the_average_over_it() {
             assert!((average - sampled).abs() < 1.2 * BOUND / points as f64, "{name}, column {column}");
         }
     });
+}
+
+/// The polygon of fixed particles has the area of the wall from one vertex to those beside, with its first moment; one with its vertices on
+/// the wall cuts kinks off.
+#[test]
+fn a_polygon_keeps_the_wall_s_area() {
+    let (section, offsets) = (HotSection { from: 0.25, to: 0.75, dx: 0.011, length: 1.1 }, [0.013, -0.02, 0.004]);
+    // Kinks that are far from each other, anywhere between vertices.
+    let nodes = Nodes::new(vec![0.3, 0.46, 0.6413], section, BOUND).unwrap();
+    let wall = nodes.sampled(&offsets);
+    let x: Vec<f64> = (0..100).map(|k| 0.011 * k as f64).collect();
+    let heights = |keeps_area| {
+        let polygon = Polygon { x: x.clone(), keeps_area };
+        nodes.clone().as_polygon(Some(&polygon)).column_heights(&offsets)
+    };
+    let [kept, cut] = [heights(Some(0.011)), heights(None)];
+    // Integrals of 1 and x times the difference of a polygon from the wall around a kink.
+    let apart = |heights: &[f64], kink: f64| {
+        let (from, pieces) = ((kink / 0.011) as usize - 4, 9 * 1000);
+        let at = |k: usize| (k as f64 + 0.5) / 1000.0;
+        let difference = |s: f64| {
+            let (k, t) = (from + s as usize, s.fract());
+            (1.0 - t) * heights[k] + t * heights[k + 1] - wall.surface(x[from] + 0.011 * s)
+        };
+        let integral = |power: i32| (0..pieces).map(|k| at(k).powi(power) * difference(at(k))).sum::<f64>() / 1000.0;
+        [integral(0), integral(1)]
+    };
+    for kink in [0.3, 0.46, 0.6413] {
+        let ([area, moment], [cut_off, _]) = (apart(&kept, kink), apart(&cut, kink));
+        assert!(
+            area.abs() < 0.01 * cut_off.abs() && moment.abs() < 0.05 * cut_off.abs(),
+            "{kink}: {area}, {moment}, {cut_off}"
+        );
+    }
+    // A straight wall is what it is.
+    let straight = Nodes::new(vec![0.3, 0.7], section, BOUND).unwrap();
+    let polygon = Polygon { x: x.clone(), keeps_area: Some(0.011) };
+    let (heights, wall) = (straight.clone().as_polygon(Some(&polygon)).column_heights(&[0.0, 0.02]), [0.0, 0.02]);
+    for (x, height) in x.iter().zip(heights).filter(|(x, _)| (0.32..0.68).contains(*x)) {
+        assert!((height - straight.sampled(&wall).surface(*x)).abs() < 1e-16, "{x}: {height}");
+    }
 }
 
 /// Sum of the column heights times their width: the same at any resolution.

@@ -6,7 +6,6 @@
 use crate::support::consistent::{isotropic, noisy_channel, numbers, verlet, vortices, Case};
 use crate::support::final_sum::{FinalSum, Summed};
 use crate::support::random_scene::{Options, RandomScene};
-use crate::turn;
 use candle_core::{DType, Device, Tensor, Var};
 use hydrograd::adjoint::gradient::gradient;
 use hydrograd::adjoint::schedule::Schedule;
@@ -241,20 +240,20 @@ fn sums_by_place_change_nothing<R: Sweeps>() {
 
 #[test]
 fn sums_by_place_change_nothing_in_double_precision() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     sums_by_place_change_nothing::<f64>();
 }
 
 #[test]
 fn sums_by_place_change_nothing_in_single_precision() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     sums_by_place_change_nothing::<f32>();
 }
 
 /// The named device against the CPU.
 #[test]
 fn the_device_agrees_with_the_cpu() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let Some(name) = named() else {
         println!("not compared: HYDROGRAD_DEVICE names no device");
         return;
@@ -269,7 +268,7 @@ fn the_device_agrees_with_the_cpu() {
 /// Rows by number and sums by number, with their derivatives, by place and as candle has them.
 #[test]
 fn gathers_are_candles_own() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let mut rng = stream(11, "gather");
     let lists: Vec<(Vec<u32>, usize)> = vec![
         // Every row named once, in another order; one row named by all; one that nobody names, the first and the last.
@@ -334,7 +333,7 @@ fn gathers_are_candles_own() {
 /// What is made of a list is kept, until the list is another one.
 #[test]
 fn tensors_of_a_list_are_of_that_list() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let domain = Domain { dimension: 2, size: [1.0; 3], periodic: [true; 3] };
     let mut rng = stream(13, "list");
     let mut position = || (0..200).map(|_| uniform(&mut rng)).collect::<Vec<f64>>();

@@ -1,6 +1,7 @@
 //! What several tests share.
 #![allow(dead_code)]
 pub mod advice;
+pub mod apart;
 pub mod consistent;
 pub mod data_set;
 pub mod differences;

@@ -15,7 +15,7 @@
 //! slope.
 
 use super::column_averages::fitted;
-use super::{ColumnAverages, Parametrisation, Variables};
+use super::{ColumnAverages, Parametrisation, Polygon, Variables};
 use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
@@ -62,11 +62,11 @@ impl BSpline {
         Ok(spline)
     }
 
-    /// Uses the wall's heights at these points, if given, instead of averages over columns.
-    pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
-        if let Some(points) = points {
+    /// Uses the heights of a polygon, if given, instead of averages over columns.
+    pub fn as_polygon(mut self, polygon: Option<&Polygon>) -> Self {
+        if let Some(polygon) = polygon {
             let height = |variables: &[f64], x| self.height(variables, x, 0.0);
-            self.facts.averages = ColumnAverages::at_points(self.variables(), points, height);
+            self.facts.averages = ColumnAverages::of_polygon(self.variables(), polygon, height);
         }
         self
     }

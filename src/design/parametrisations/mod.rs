@@ -16,7 +16,7 @@ pub mod spline_surface;
 pub mod two_walls;
 
 pub use b_spline::BSpline;
-pub use column_averages::ColumnAverages;
+pub use column_averages::{ColumnAverages, Polygon};
 pub use nodes::Nodes;
 pub use numbers::Numbers;
 pub use parametrisation::{Parametrisation, Variables};
@@ -37,16 +37,19 @@ pub fn of_config(config: &Config, start: &Shape) -> Result<(Arc<dyn Parametrisat
     let section = HotSection::of(config);
     let facts = config.method.facts();
     let columns = || (0..config.columns()).map(|column| first_column(config) + column as f64 * dx).collect();
-    let at_points = (!facts.wall_cells).then(|| if facts.moves { section.vertices() } else { columns() });
+    let polygon = (!facts.wall_cells).then(|| match facts.moves {
+        true => Polygon { x: section.vertices(), keeps_area: None },
+        false => Polygon { x: columns(), keeps_area: Some(dx) },
+    });
     Ok(match design.parametrisation {
         ParametrisationName::Nodes => {
-            let nodes = Nodes::new(start.nodes.clone(), section, design.bound)?.sampled_at(at_points.as_deref());
+            let nodes = Nodes::new(start.nodes.clone(), section, design.bound)?.as_polygon(polygon.as_ref());
             each_wall(design.walls, nodes, start, |wall| wall.offsets.clone())
         }
         ParametrisationName::BSpline => {
             let spline = BSpline::new(design.control_points, section, design.bound)?;
             let points = spline.clone();
-            each_wall(design.walls, spline.sampled_at(at_points.as_deref()), start, |wall| points.fitted(wall))
+            each_wall(design.walls, spline.as_polygon(polygon.as_ref()), start, |wall| points.fitted(wall))
         }
     })
 }

@@ -3,7 +3,7 @@
 //! The column averages are exact (the hat functions are integrated piecewise), and limits of the nodes are limits of
 //! the wall, because between nodes it is neither higher nor steeper.
 
-use super::{ColumnAverages, Parametrisation, Variables};
+use super::{ColumnAverages, Parametrisation, Polygon, Variables};
 use crate::design::limits::Limits;
 use crate::design::shape::{HotSection, Shape, MAX_SLOPE};
 use crate::error::BadInput;
@@ -32,10 +32,10 @@ impl Nodes {
         Ok(Self { flat, facts })
     }
 
-    /// Uses the wall's heights at these points, if given, instead of averages over columns.
-    pub fn sampled_at(mut self, points: Option<&[f64]>) -> Self {
-        if let Some(points) = points {
-            self.facts.averages = ColumnAverages::at_points(self.flat.nodes.len(), points, |offsets, x| {
+    /// Uses the heights of a polygon, if given, instead of averages over columns.
+    pub fn as_polygon(mut self, polygon: Option<&Polygon>) -> Self {
+        if let Some(polygon) = polygon {
+            self.facts.averages = ColumnAverages::of_polygon(self.flat.nodes.len(), polygon, |offsets, x| {
                 Shape { offsets: offsets.to_vec(), ..self.flat.clone() }.surface(x)
             });
         }

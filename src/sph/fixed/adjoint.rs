@@ -224,7 +224,9 @@ impl<R: Real, const METRIC: bool> RowKernel<R> for Pull<'_, R, METRIC> {
                 let conormal = conormal * L::splat(R::of(wall.inward()));
                 c.put_line(line::ALONG[wall as usize], at, conormal * c.line(line::LEAN[wall as usize], here));
                 if METRIC {
-                    let sides = array(|k| c.get::<L>(field::T, c.near(wall, 0), here + k as isize - 1));
+                    let there = |row: usize, k: usize| c.get::<L>(field::T, c.near(wall, row), here + k as isize - 1);
+                    let [first, second] = ghosts::ON_WALL.map(|weight| L::splat(R::of(weight)));
+                    let sides = array(|k| first.mul_add(there(0, k), second * there(1, k)));
                     c.put_line(line::LEAN_BAR[wall as usize], at, conormal * along(c, wall, here, sides));
                 }
             }
@@ -376,11 +378,13 @@ impl<R: Real> RowKernel<R> for Finish<'_, R> {
                             p_bar += ghosts::line_bar(c.ghost_rows::<L>(field::P_BAR, wall, at))[k];
                         }
                     }
-                    if j == c.near(wall, 0) {
+                    for row in (0..REACH).filter(|&row| j == c.near(wall, row)) {
+                        let on_wall = L::splat(R::of(ghosts::ON_WALL[row]));
                         for (k, weights) in c.fixed.ghosts.along[wall as usize].iter().enumerate() {
                             // The column that sees this one as its k-th.
                             let other = here + 1 - k as isize;
-                            t_bar = c.constant::<L>(weights, other).mul_add(c.line(along_line, other), t_bar);
+                            let weight = on_wall * c.constant::<L>(weights, other);
+                            t_bar = weight.mul_add(c.line(along_line, other), t_bar);
                         }
                     }
                 }

@@ -77,4 +77,11 @@ impl Channel {
             })
             .collect()
     }
+
+    /// How much of each column's cell is covered by the part of the bottom wall that is not hot, `[columns]`.
+    pub(super) fn cold_cover(&self) -> Vec<f64> {
+        let behind = |distance: f64| (distance / self.spacing + 0.5).clamp(0.0, 1.0);
+        let hot = |x: f64| (behind(x - self.hot[0]) + behind(self.hot[1] - x) - 1.0).max(0.0);
+        (0..self.columns).map(|i| 1.0 - hot(self.x(i))).collect()
+    }
 }

@@ -1,5 +1,6 @@
 //! A step by ordinary candle operators with the equations of [`super`], as reference for the sweeps and their adjoint.
 
+use super::ghosts;
 use super::grid::REACH;
 use super::lattice::{row, Fixed};
 use super::stencil::{derivative, WIDTH};
@@ -128,8 +129,9 @@ impl<R: Real> Fixed<R> {
         let hot = self.constant(&self.ghosts.hot, t)?;
         extend(t, |f, g, wall| {
             let mut along = f.zeros_like()?;
+            let on_wall = combine(ghosts::ON_WALL[0], f, ghosts::ON_WALL[1], g)?;
             for (k, weights) in self.ghosts.along[wall].iter().enumerate() {
-                along = (along + roll(f, k as isize - 1)?.mul(&self.constant(weights, t)?)?)?;
+                along = (along + roll(&on_wall, k as isize - 1)?.mul(&self.constant(weights, t)?)?)?;
             }
             let sign = if wall == 0 { 1.0 } else { -1.0 };
             let conormal = along.mul(&metric.lean[wall])?.affine(sign, 0.0)?;

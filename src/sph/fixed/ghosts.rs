@@ -8,12 +8,10 @@
 //!
 //! In a column whose wall is hot over a part of its cell, the first and the third are averaged with that weight.
 //!
-//! df/dxi is the mean of the slopes to both adjacent columns in the first row. Towards a hot column only the part of
-//! the distance along the adiabatic wall counts, which is half of it. With all of it the hot wall acts too far: at dx =
-//! 0.02 and 0.01 the gradient of Q by the pairs of nodes at the ends of the hot wall sums up to 61 and 89 % of that of
-//! finite elements; with none of it to 81 and 105 %, without the conormal term to 99 and 136 %, with half of it to 71
-//! and 97 %. (Measured before the edges acted where they are, see [`super::channel::EDGE`].) Over walls of +-0.02 the worst errors of Q are, in this order, 1.1 and 0.4, 0.9 and 0.8, 0.8 and 1.4, 1.0
-//! and 0.4 %.
+//! df/dxi is the mean of the slopes to both adjacent columns, of values on the wall, which are on the line through those of the first two
+//! rows. (From the first row itself, dx/2 away, the flux through the wall is wrong by K_yy q^2 f_xixi dx/2. Near an edge of the hot
+//! wall, where f_xi grows as the inverse root of the distance, that adds up to dx ln(1/dx).) Towards a hot column only the part of the
+//! distance along the adiabatic wall counts, which is half of it. Where an edge then acts on slopes is what `scripts/peers/hot_edge.py` shows.
 
 use super::channel::Channel;
 use super::grid::Grid;
@@ -24,13 +22,13 @@ use crate::numerics::lanes::{Lanes, Real};
 pub struct Ghosts<R> {
     /// Hot fraction of the cell of the bottom wall.
     pub hot: Vec<R>,
-    /// Weights of columns i - 1, i, i + 1 in dx df/dxi of the first row, times the fraction not hot, at bottom and top.
+    /// Weights of columns i - 1, i, i + 1 in dx df/dxi along the wall, times the fraction of the cell that is not hot, at bottom and top.
     pub along: [[Vec<R>; 3]; 2],
 }
 
 impl<R: Real> Ghosts<R> {
     pub fn new(channel: &Channel, grid: &Grid) -> Self {
-        let hot = channel.hot_share();
+        let (hot, cold) = (channel.hot_share(), channel.cold_cover());
         let n = hot.len();
         let line = |value: &dyn Fn(usize) -> f64| {
             let mut line = vec![R::default(); grid.stride];
@@ -38,17 +36,17 @@ impl<R: Real> Ghosts<R> {
             grid.wrap(&mut line);
             line
         };
-        let weights = |share: &dyn Fn(usize) -> f64| {
-            let cold = |i: usize| 1.0 - share(i % n);
+        let weights = |cold: &dyn Fn(usize) -> f64| {
+            let cold = |i: usize| cold(i % n);
             // Half the slope to each side, times the fraction of the distance to that side that is not hot.
             let side = |i: usize, other: usize| 0.25 * (cold(i) + cold(other)) * cold(i);
             let (left, right) = (|i: usize| side(i, i + n - 1), |i: usize| side(i, i + 1));
             [line(&|i| -left(i)), line(&|i| left(i) - right(i)), line(&right)]
         };
-        let mut bottom = weights(&|i| hot[i]);
+        let mut bottom = weights(&|i| cold[i]);
         let conormal = R::of(channel.conormal);
         bottom.iter_mut().flatten().for_each(|weight| *weight *= conormal);
-        Self { along: [bottom, weights(&|_| 0.0)], hot: line(&|i| hot[i]) }
+        Self { along: [bottom, weights(&|_| 1.0)], hot: line(&|i| hot[i]) }
     }
 }
 
@@ -94,6 +92,9 @@ pub fn temperature<L: Lanes>(f: [L; 2], hot: L, given: L, conormal: L) -> [L; 2]
     let far = (f[1] - number::<L>(9.0) * f[0]).mul_add(hot, f[1]) + number::<L>(8.0) * wall;
     [near - conormal, far - three * conormal]
 }
+
+/// The value on a wall from those of the first two rows, on a line.
+pub const ON_WALL: [f64; 2] = [1.5, -0.5];
 
 /// The cotangents of f_1, f_2 and of `conormal`, given those of the ghosts by [`temperature`].
 #[inline(always)]

@@ -165,7 +165,7 @@ impl Wall {
     }
 }
 
-/// A temperature's dx df/dxi along a wall from three columns of its first row.
+/// A temperature's dx df/dxi along a wall from its values on the wall in three columns.
 #[inline(always)]
 pub(super) fn along<R: Real, L: Lanes<Real = R>>(context: &Context<'_, R>, wall: Wall, at: isize, f: [L; 3]) -> L {
     let weights = &context.fixed.ghosts.along[wall as usize];
@@ -233,12 +233,16 @@ impl<R: Real> RowKernel<R> for Spread<'_, R> {
                     c.put_ghosts::<L>(field, wall, at, ghosts::parabola(c.near_rows(field, wall, at)));
                 }
                 // The columns at either side may be another unit's, so they come from the state.
-                let from = row::T * c.fixed.particles() + c.near(wall, 0) as usize * nx;
-                let first = &self.state[from..from + nx];
+                let rows: [&[R]; 2] = array(|k| {
+                    let from = row::T * c.fixed.particles() + c.near(wall, k) as usize * nx;
+                    &self.state[from..from + nx]
+                });
+                let [first, second] = ghosts::ON_WALL.map(R::of);
                 let mut around = [R::default(); WIDEST + 2];
                 for (k, value) in around[..L::COUNT + 2].iter_mut().enumerate() {
                     let column = at + k + nx - 1;
-                    *value = first[if column < 2 * nx { column % nx } else { 0 }];
+                    let column = if column < 2 * nx { column % nx } else { 0 };
+                    *value = first * rows[0][column] + second * rows[1][column];
                 }
                 // SAFETY: two numbers more than a vector are there.
                 let sides = array(|k| unsafe { L::load(around.as_ptr().add(k)) });

@@ -1,20 +1,9 @@
-//! Tests that change something of the whole process: an allocator that counts, how sums are taken, the most memory there has been.
-
-mod adjoint;
-mod device;
-mod support;
+//! What is counted and measured of a whole process: operations of kernels, the most memory there has been.
 
 use hydrograd::numerics::lanes::{counted_operations, InstructionSet, Lanes, Real, RowKernel};
 use hydrograd::report::memory::{peak_memory_bytes, reset_peak_memory};
 use std::hint::black_box;
 use std::ops::Range;
-use std::sync::{Mutex, MutexGuard};
-
-/// Held by each of these tests: they run one at a time, so that one sees its own memory and its own settings only.
-fn turn() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
-    TURN.lock().unwrap_or_else(|e| e.into_inner())
-}
 
 /// With one lane of f64 the operations of kernels are counted.
 #[cfg(target_arch = "x86_64")]
@@ -31,7 +20,7 @@ fn operations_are_counted() {
             }
         }
     }
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let before = counted_operations();
     f64::run(&Nine, 0..1000, InstructionSet::available()[0]);
     assert_eq!(counted_operations() - before, 9000);
@@ -45,7 +34,7 @@ fn operations_are_counted() {
 #[cfg(target_os = "linux")]
 #[test]
 fn peak_memory_follows_use() {
-    let _turn = turn();
+    crate::in_a_process_of_its_own!();
     let before = peak_memory_bytes();
     assert!(before > 1 << 20, "{before}");
     let block = vec![1_u8; 64 << 20];
