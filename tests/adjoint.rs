@@ -16,23 +16,55 @@ use hydrograd::sph::solver::{Snapshot, Solver};
 use hydrograd::sph::Sweeps;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+use std::sync::atomic::{
+    AtomicBool, AtomicIsize,
+    Ordering::{Relaxed, SeqCst},
+};
 
-/// Counts the bytes that are allocated now, and the most there have been.
+/// Counts the bytes that are allocated now, and the most there have been, while it is asked to: all tests have this allocator.
 struct Counting;
 
-static NOW: AtomicUsize = AtomicUsize::new(0);
-static PEAK: AtomicUsize = AtomicUsize::new(0);
+static COUNTS: AtomicBool = AtomicBool::new(false);
+/// Less than 0 if more is freed than was allocated since.
+static NOW: AtomicIsize = AtomicIsize::new(0);
+static PEAK: AtomicIsize = AtomicIsize::new(0);
+
+impl Counting {
+    fn allocated(size: usize) {
+        if COUNTS.load(Relaxed) {
+            let size = size as isize;
+            PEAK.fetch_max(NOW.fetch_add(size, SeqCst) + size, SeqCst);
+        }
+    }
+
+    fn freed(size: usize) {
+        if COUNTS.load(Relaxed) {
+            NOW.fetch_sub(size as isize, SeqCst);
+        }
+    }
+}
 
 // SAFETY: passes every call on to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        PEAK.fetch_max(NOW.fetch_add(layout.size(), SeqCst) + layout.size(), SeqCst);
+        Self::allocated(layout.size());
         // SAFETY: as the caller promises.
         unsafe { System.alloc(layout) }
     }
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        Self::allocated(layout.size());
+        // SAFETY: as the caller promises.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        // As if both were there for a moment.
+        Self::allocated(size);
+        Self::freed(layout.size());
+        // SAFETY: as the caller promises.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        NOW.fetch_sub(layout.size(), SeqCst);
+        Self::freed(layout.size());
         // SAFETY: as the caller promises.
         unsafe { System.dealloc(pointer, layout) }
     }
@@ -259,12 +291,13 @@ fn peak<R: Sweeps>(formulation: &str, steps: usize, schedule: Schedule) -> [(f64
     // what a gradient takes.
     run(&warm, &start, Schedule::segments(steps, 5));
     let (channel, start) = scene();
-    let before = NOW.load(SeqCst);
-    PEAK.store(before, SeqCst);
+    [&NOW, &PEAK].into_iter().for_each(|bytes| bytes.store(0, SeqCst));
+    COUNTS.store(true, SeqCst);
     let found = run(&channel, &start, schedule);
+    COUNTS.store(false, SeqCst);
     // Kept states lie in maps of their own, which the allocator does not see.
     let scratch = &channel.model.scratch;
-    let peak = PEAK.load(SeqCst) - before + scratch.states.most() + scratch.rounded_states.most();
+    let peak = PEAK.load(SeqCst) as usize + scratch.states.most() + scratch.rounded_states.most();
     [(found.storage, schedule.storage(costs)), (peak, schedule.memory(costs))].map(|(a, b)| (a as f64, b as f64))
 }
 

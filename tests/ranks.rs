@@ -137,10 +137,8 @@ fn begun(out: &Path) -> Child {
     started(&mut long(out), &out.join("last.safetensors"))
 }
 
-/// mpirun kills ranks a second after the signal; on a busy machine their last step may take as long. (It waits twice as long as told.)
-const SECONDS_TO_STOP: &str = "3";
-
-/// The same command over ranks, whose messages go to a file: mpirun that is told to stop hands on only some of them.
+/// The same command over ranks that mpirun may be told to stop: their messages go to a file, because it hands on only some of them, and they have
+/// time for their last step.
 fn with_messages_in(file: &Path, command: &Command) -> Command {
     let program = assert_cmd::cargo::cargo_bin("hydrograd");
     let mut found = Command::new(command.get_program());
@@ -151,6 +149,8 @@ fn with_messages_in(file: &Path, command: &Command) -> Command {
         }
         found.arg(argument);
     }
+    // mpirun kills ranks a second after the signal; on a busy machine their last step may take as long. (It waits twice as long as told.)
+    found.env("OMPI_MCA_odls_base_sigkill_timeout", "3");
     found
 }
 
@@ -201,7 +201,6 @@ fn all_ranks_stop_together() {
     let out = folder.path().join("run");
     let messages = folder.path().join("messages");
     let mut command = with_messages_in(&messages, &long(&out));
-    command.env("OMPI_MCA_odls_base_sigkill_timeout", SECONDS_TO_STOP);
     let child = started(&mut command, &out.join("last.safetensors"));
     signal(i32::try_from(child.id()).unwrap(), libc::SIGTERM);
     // mpirun has a code of its own then.
@@ -341,7 +340,6 @@ fn a_flow_that_ended_early_goes_on() {
         let out = folder.path().join(end);
         let messages = folder.path().join(format!("{end}.messages"));
         let mut command = with_messages_in(&messages, &simulate(2, scene, &out));
-        command.env("OMPI_MCA_odls_base_sigkill_timeout", SECONDS_TO_STOP);
         let child = started(&mut command, &out.join("checkpoint.safetensors"));
         match end {
             "killed" => signal(ranks_of(&child)[1], libc::SIGKILL),

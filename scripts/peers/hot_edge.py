@@ -28,7 +28,7 @@ DX, EDGE_COLUMN, COLUMNS = 1 / ROWS, REACH * ROWS, 2 * REACH * ROWS
 
 
 def weights():
-    """Offsets, and by offset: l_xx, l_yy, l_xy (src/sph/fixed/stencil.rs, times dx^2), and the kernel's derivative of a line."""
+    """l_xx, l_yy, l_xy by offset (src/sph/fixed/stencil.rs, times dx^2), and the kernel's derivative of a line."""
     offsets = [(i, j) for j in range(-2, 3) for i in range(-2, 3) if (i, j) != (0, 0)]
     spline = lambda q: sum(c * np.maximum(0, k - q) ** 4 for c, k in ((1, 3), (-6, 2), (15, 1)))
     f = {o: spline(np.hypot(*o)) / np.hypot(*o) for o in offsets}

@@ -69,19 +69,19 @@ impl Channel {
     /// How hot the bottom wall is in each column's cell, `[columns]`: 1, or 0, and in the cells of both edges the share with
     /// which the edge acts where it is (see [`EDGE`]).
     pub fn hot_share(&self) -> Vec<f64> {
-        let from_cold_side = |place: f64| share_of_edge(place / self.spacing);
-        (0..self.columns)
-            .map(|i| {
-                let (first, last) = (self.hot[0] - self.x(i), self.x(i) - self.hot[1]);
-                (from_cold_side(first) + from_cold_side(last) - 1.0).max(0.0)
-            })
-            .collect()
+        self.between_edges(share_of_edge).collect()
     }
 
     /// How much of each column's cell is covered by the part of the bottom wall that is not hot, `[columns]`.
     pub(super) fn cold_cover(&self) -> Vec<f64> {
-        let behind = |distance: f64| (distance / self.spacing + 0.5).clamp(0.0, 1.0);
-        let hot = |x: f64| (behind(x - self.hot[0]) + behind(self.hot[1] - x) - 1.0).max(0.0);
-        (0..self.columns).map(|i| 1.0 - hot(self.x(i))).collect()
+        self.between_edges(|place| (0.5 - place).clamp(0.0, 1.0)).map(|hot| 1.0 - hot).collect()
+    }
+
+    /// The part of each column's cell between both edges, given the part on the hot side of an edge that is so many spacings from
+    /// the middle of the cell towards that side.
+    fn between_edges<'a>(&'a self, part: impl Fn(f64) -> f64 + 'a) -> impl Iterator<Item = f64> + 'a {
+        let part = move |distance: f64| part(distance / self.spacing);
+        let between = move |x: f64| part(self.hot[0] - x) + part(x - self.hot[1]) - 1.0;
+        (0..self.columns).map(move |i| between(self.x(i)).max(0.0))
     }
 }
