@@ -319,6 +319,23 @@ fn a_state_comes_back_bit_for_bit() -> TestResult {
     Ok(())
 }
 
+/// HDF5 locks what it writes, and a program that is started meanwhile keeps the file open.
+#[test]
+fn a_file_can_be_read_while_a_program_runs_that_was_started_when_it_was_written() -> TestResult {
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("state.h5");
+    let mut started = None;
+    hdf5_file::write_file(&path, |_| {
+        started = Some(std::process::Command::new("sleep").arg("100").spawn().expect("a program"));
+        Ok(())
+    })?;
+    let found = hdf5_file::open(&path, "state").map(|_| ());
+    let mut program = started.expect("it was written");
+    program.kill()?;
+    program.wait()?;
+    Ok(found?)
+}
+
 #[test]
 fn a_state_is_compressed_and_particle_major() -> TestResult {
     let folder = tempfile::tempdir()?;

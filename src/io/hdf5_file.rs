@@ -9,6 +9,8 @@ use super::atomic::write_path_atomically;
 use super::FileError;
 use hdf5::types::VarLenUnicode;
 use hdf5::H5Type;
+use hdf5_sys::h5f::H5Fget_vfd_handle;
+use hdf5_sys::h5p::H5P_DEFAULT;
 use std::fs;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -55,10 +57,26 @@ pub fn write_file(path: &Path, write: impl FnOnce(&hdf5::File) -> Result<(), Fil
             .with_fcpl(|properties| properties.userblock(BLOCK as u64))
             .create(temporary)
             .map_err(failed(path, "create")("the file"))?;
+        unlock(&file);
         write(&file)?;
         file.close().map_err(failed(path, "write")("the end of the file"))?;
         seal(temporary).map_err(|source| FileError::write(path, source))
     })
+}
+
+/// Takes HDF5's lock off a file that is written under a temporary name, where nobody else looks for it. Programs that are started
+/// meanwhile inherit the open file, and would keep the lock after we have closed it.
+fn unlock(file: &hdf5::File) {
+    hdf5::sync::sync(|| {
+        let mut handle = std::ptr::null_mut();
+        // SAFETY: the file is open, so that its driver's handle is a pointer to a descriptor, and nobody else is in HDF5.
+        unsafe {
+            // Where this fails the lock stays, which does no more harm than above.
+            if H5Fget_vfd_handle(file.id(), H5P_DEFAULT, &mut handle) >= 0 && !handle.is_null() {
+                libc::flock(*handle.cast::<libc::c_int>(), libc::LOCK_UN);
+            }
+        }
+    });
 }
 
 /// Writes the user block.
