@@ -17,12 +17,14 @@ use hydrograd::scene::around_shapes::AroundShapes;
 use hydrograd::scene::history::Of;
 use hydrograd::scene::shape_search::{Epoch, Search};
 use hydrograd::sph::cloud::composed::residual;
+use hydrograd::sph::cloud::corner_fit::{self, Corner};
 use hydrograd::sph::cloud::equations::{Bar, State};
 use hydrograd::sph::cloud::figures::Figure;
 use hydrograd::sph::cloud::fit_adjoint::PairCotangents;
 use hydrograd::sph::cloud::interpolation::Interpolation;
 use hydrograd::sph::cloud::nearest::{Nearest, Plane};
 use hydrograd::sph::cloud::outline::{area, Outline};
+use std::f64::consts::PI;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -455,6 +457,64 @@ fn the_residual_and_its_adjoint_equal_candles() {
             let own = if k < 3 { by_u[3 * i + k] } else { by_t[i] };
             assert!((row[i] - own).abs() < 1e-10 * size, "field {k} of particle {i}: {} and {own}", row[i]);
         }
+    }
+}
+
+/// What a corner's fit is made of is found exactly, whatever the angle and the direction.
+#[test]
+fn fits_beside_corners_find_the_singular_temperature() {
+    let mut random = noise(3);
+    for (turn, from) in [(0.4, 0.3), (1.57, -2.0), (2.0, 3.0), (3.0, 1.1)] {
+        let along = |angle: f64| [angle.cos(), angle.sin()];
+        let corner = Corner::new([0.3, 0.2], along(from - turn), along(from), 0.3).unwrap();
+        assert!(Corner::new([0.3, 0.2], along(from + turn), along(from), 0.3).is_none());
+        let (angle, a, g) = (PI + turn, 0.7, [0.2, -0.4]);
+        let of = |[x, y]: [f64; 2], phi: f64| {
+            a * x.hypot(y).powf(PI / angle) * (PI / angle * phi).sin() + g[0] * x + g[1] * y
+        };
+        let mut near: Vec<([f64; 2], f64)> = (0..=corner_fit::NEIGHBOURS)
+            .map(|k| {
+                // The fluid is clockwise from the edge that begins in the corner.
+                let (phi, size) = ((0.5 + 0.5 * random()) * angle, 0.02 + 0.005 * k as f64);
+                let r = along(from - phi).map(|x| size * x);
+                assert!((corner.angle_of(r).unwrap() - phi).abs() < 1e-12);
+                (r, of(r, phi))
+            })
+            .collect();
+        let fit = corner.fit(&near).unwrap();
+        for (direction, side) in [(from, 1.0), (from - angle, -1.0)] {
+            let normal = [side * direction.sin(), -side * direction.cos()];
+            let exact = a * 0.03f64.powf(PI / angle) + (g[0] * normal[0] + g[1] * normal[1]) * 0.03;
+            let found = fit.slope(normal, 0.03);
+            assert!((found - exact).abs() < 1e-9, "{turn}: {found} and {exact}");
+        }
+        near.pop();
+        assert!(corner.fit(&near).is_none() && corner.angle_of(along(from + 0.5 * (PI - turn))).is_none());
+    }
+}
+
+/// Behind a warm disc the stream carries its heat, before it none: less than what conduction along the stream makes of it.
+#[test]
+fn heat_flows_out_through_the_section_that_is_asked_for() {
+    let outflow = |target: f64| {
+        let text = format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\nregion.size = [2.0, 0.6]\nregion.periodic = [false, false]\n\
+             region.sides.left = {{ kind = \"inflow\", velocity = [1, 0], temperature = 0 }}\nregion.sides.right = {{ kind = \"outflow\" }}\n\
+             region.sides.bottom = {{ kind = \"symmetry\" }}\nregion.sides.top = {{ kind = \"symmetry\" }}\n\
+             fluid.viscosity = 0.05\nfluid.conductivity = 0.02\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\n\
+             resolution.dx = 0.05\nobjective.target_x = {target}\n\
+             [[shapes]]\nkind = \"disc\"\ncentre = [0.9, 0.3]\nradius = 0.1\ntemperature = 1.0\n"
+        );
+        let mut around = AroundShapes::new(&loaded(&text)).unwrap();
+        let numbers = around.flow.cloud.numbers();
+        let solution = around.flow.solve(&numbers).unwrap();
+        [Figure::HeatOutflow, Figure::Heat { shape: 0 }].map(|figure| around.flow.value(&solution, figure))
+    };
+    for (target, share) in [(0.4, 0.0), (1.5, 1.0), (5.0, 1.0)] {
+        let [carried, heat] = outflow(target);
+        println!("{target}: {carried} of {heat}");
+        // The disc has four spacings: what flows out is 2 % less than what it gives.
+        assert!(heat > 0.1 && (carried / heat - share).abs() < 0.03, "{target}: {carried} of {heat}");
     }
 }
 
@@ -902,6 +962,10 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
     refuses(&(base.clone() + &near), &["shapes[2]", "near", "resolution.dx="]);
     let probe = |key: &str| channel(0.03, key) + &shape("disc", &[0.5, 0.2, 0.08]);
     refuses(&probe("objective.terms = [{ kind = \"pressure\" }]"), &["objective.terms[0]", "at = [x, y]"]);
+    refuses(
+        &probe("objective.target_x = 7.0\nobjective.terms = [{ kind = \"heat-outflow\" }]"),
+        &["objective.target_x = 7 is outside the box", "region.size[0]"],
+    );
     refuses(
         &probe("method.flow = \"unsteady\"\nfluid.drive = \"pumping-power\"\nfluid.pumping_power = 1.0"),
         &["fluid.drive", "flow=steady"],

@@ -118,7 +118,11 @@ pub fn print_figures(config: &Config, figures: &Figures) {
         ("heat_outflow", "heat outflow"),
     ] {
         if let Some(value) = number(figures, name) {
-            println!("{label:<20}{value:.6}");
+            let section = match name {
+                "heat_outflow" => format!("   through x = {}", config.objective.target_x.min(config.region.size[0])),
+                _ => String::new(),
+            };
+            println!("{label:<20}{value:.6}{section}");
         }
     }
     let mut header = vec!["shape", "drag", "lift", "torque"];

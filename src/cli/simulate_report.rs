@@ -95,7 +95,7 @@ impl<R: Sweeps> Finished<'_, R> {
         let is_wanted = objective.kind == ObjectiveKind::ShapeHeat && !self.shape_heat.is_empty();
         let heat = self.shape_heat.iter().enumerate();
         let of = heat.filter(|(k, _)| objective.shapes.is_empty() || objective.shapes.contains(k));
-        is_wanted.then(|| of.map(|(_, heat)| heat).sum())
+        is_wanted.then(|| of.map(|(_, heat)| heat).sum()).filter(|heat: &f64| heat.is_finite())
     }
 
     /// The warnings of the scene, and of its particles at the end.
@@ -199,7 +199,14 @@ pub fn report_flow<R: Sweeps>(
     for (k, heat) in
         finished.shape_heat.iter().enumerate().filter(|(k, _)| loaded.config.shapes[*k].temperature.is_some())
     {
-        println!("heat of shapes[{k}]   {heat:.6}   given to the fluid through its surface, mean of the samples");
+        match heat.is_finite() {
+            true => println!(
+                "heat of shapes[{k}]   {heat:.6}   given to the fluid through its surface, mean of the samples"
+            ),
+            false => println!(
+                "heat of shapes[{k}]   unknown: a `where` has no outline, and the standard method tells that of plane walls only"
+            ),
+        }
     }
     if let Some(objective) = objective {
         println!("objective           {objective:.6}   {}", Figure::of_config(&loaded.config).quantity);

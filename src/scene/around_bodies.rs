@@ -10,6 +10,7 @@ use crate::io::stl;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::Warmth;
+use crate::sph::cloud::figures::MeasureSettings;
 use crate::sph::cloud::nearest::Region;
 use crate::sph::cloud::outline::Outline;
 use crate::sph::cloud::particles::Fluid;
@@ -199,8 +200,12 @@ impl AroundBodies {
         if let Some(probe) = probes.iter().find(|probe| cloud.ground.distance(**probe, None) < -0.5 * spacing) {
             return Err(not_in_fluid(probe).into());
         }
-        let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads)
-            .map_err(|why| unusable(config, &why))?;
+        let settings = MeasureSettings {
+            probes: &probes,
+            target: config.objective.target_x,
+            balances: config.unsteady().is_none(),
+        };
+        let flow = SteadyFlow::new(cloud, held, settings, threads).map_err(|why| unusable(config, &why))?;
         Ok(Self { flow, config: config.clone(), probes, wanted, by_viscosity: false })
     }
 

@@ -12,6 +12,7 @@ use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::conditions::Conditions as _;
 use crate::sph::cloud::equations::{Motion, Warmth};
+use crate::sph::cloud::figures::MeasureSettings;
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
@@ -239,8 +240,12 @@ impl AroundShapes {
         }
         let probes = probes(config);
         check_probes(&cloud, &probes)?;
-        let flow = SteadyFlow::new(cloud, held, &probes, config.unsteady().is_none(), threads)
-            .map_err(|why| unusable(config, &why))?;
+        let settings = MeasureSettings {
+            probes: &probes,
+            target: config.objective.target_x,
+            balances: config.unsteady().is_none(),
+        };
+        let flow = SteadyFlow::new(cloud, held, settings, threads).map_err(|why| unusable(config, &why))?;
         if let Some(k) = (0..config.shapes.len()).find(|&k| !flow.measures.is_seen(k)) {
             let problem =
                 format!("shapes[{k}] has no surface in the fluid: it is outside of the box, or inside of other shapes");

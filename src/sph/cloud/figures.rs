@@ -31,7 +31,7 @@ pub enum Figure {
     Torque { shape: usize },
     /// Heat that a shape gives to the fluid, per density and heat capacity.
     Heat { shape: usize },
-    /// Heat that flows through the cross-section with the fluid.
+    /// Heat that flows with the fluid through the section at [`MeasureSettings::target`].
     HeatOutflow,
     /// Mean pressure of the sides that the fluid enters by less that of those where it leaves, or of a period.
     PressureDrop,
@@ -41,11 +41,24 @@ pub enum Figure {
     Dissipation,
 }
 
+/// Which figures are told besides those of all flows, and where.
+#[derive(Debug, Clone, Copy)]
+pub struct MeasureSettings<'a, const D: usize> {
+    /// Points at which fields are figures.
+    pub probes: &'a [[f64; D]],
+    /// x of the section where the heat outflow is told; behind the end of the region it is the end.
+    pub target: f64,
+    /// Whether forces and heat of bodies may be those that a steady flow balances.
+    pub balances: bool,
+}
+
 /// What figures need beside the state.
 #[derive(Debug)]
 pub struct Measures {
-    /// Points of a cross-section with their weights.
+    /// Points with their weights of the section where the flow rate is told, as far from bodies as possible.
     section: Vec<(Sample, f64)>,
+    /// The same of the one where the heat outflow is told.
+    target: Vec<(Sample, f64)>,
     probes: Vec<Sample>,
     wall_fits: Vec<Option<WallFit>>,
     /// Indices of boundary points by shape.
@@ -84,8 +97,7 @@ impl At<'_> {
 }
 
 impl Measures {
-    /// `at`: x of the cross-section; none: as far from bodies as possible. `probes`: points at which fields are figures.
-    pub fn new(cloud: &Cloud, at: Option<f64>, probes: &[[f64; 2]], balances: bool) -> Self {
+    pub fn new(cloud: &Cloud, settings: MeasureSettings<'_, 2>) -> Self {
         let (plane, places) = (cloud.ground.plane, &cloud.places);
         let shapes = cloud.ground.outlines.len();
         let mut points = vec![vec![]; shapes];
@@ -112,7 +124,7 @@ impl Measures {
         // Where the rest is coarser than the surroundings of bodies (`resolution.far`), these know better: by balance the heat of a
         // cylinder in a stream is 2.1 % off with four times the spacing on the sides, by its surface 1.1 %.
         let spacing = |&k: &usize| places.spacing[places.boundary[k].particle];
-        let balances = balances && rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
+        let balances = settings.balances && rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
         let share =
             (0..shapes).map(|k| if balances && places.bodies.contains(&k) { length(k) / total } else { 0.0 }).collect();
         let (centre, centre_numbers) = (0..shapes)
@@ -126,53 +138,46 @@ impl Measures {
             })
             .unzip();
         let [low, high] = places.corners;
-        let section_at = at.unwrap_or_else(|| {
-            // In the middle between lattice columns nothing is exact; a column is as good as any place in between.
-            let cells = cloud.ground.cells(&places.corners)[0];
-            let step = (high[0] - low[0]) / cells as f64;
-            let distance = |x: f64| {
-                let of = |k: &usize| {
-                    places.polygons[*k]
-                        .iter()
-                        .map(|p| plane.between([x, 0.0], [p[0], 0.0])[0].abs())
-                        .fold(f64::MAX, f64::min)
-                };
-                let ends = if plane.periodic[0] { f64::MAX } else { (x - low[0]).min(high[0] - x) };
-                places.bodies.iter().map(of).fold(ends, f64::min)
+        // In the middle between lattice columns nothing is exact; a column is as good as any place in between.
+        let cells = cloud.ground.cells(&places.corners)[0];
+        let step = (high[0] - low[0]) / cells as f64;
+        let distance = |x: f64| {
+            let of = |k: &usize| {
+                let along = |p: &[f64; 2]| plane.between([x, 0.0], [p[0], 0.0])[0].abs();
+                places.polygons[*k].iter().map(along).fold(f64::MAX, f64::min)
             };
-            let columns = (0..cells).map(|k| low[0] + k as f64 * step);
+            let ends = if plane.periodic[0] { f64::MAX } else { (x - low[0]).min(high[0] - x) };
+            places.bodies.iter().map(of).fold(ends, f64::min)
+        };
+        let columns = (0..cells).map(|k| low[0] + k as f64 * step);
+        let (farthest, _) =
             columns
-                .fold((low[0], f64::MIN), |best, x| if distance(x) > best.1 + 1e-9 { (x, distance(x)) } else { best })
-                .0
-        });
+                .fold((low[0], f64::MIN), |best, x| if distance(x) > best.1 + 1e-9 { (x, distance(x)) } else { best });
         let near = super::nearest::Nearest::new(plane, cloud.ground.dx, &places.place);
-        let rows = cloud.ground.cells(&places.corners)[1];
-        let step = (high[1] - low[1]) / rows as f64;
         let sample = |p: [f64; 2]| {
             let (_, particle) = near.one(p, 2.0 * cloud.ground.far * cloud.ground.dx)?;
             let own = places.place[particle];
             let r = plane.between(own, p);
             Some(Sample { particle, place: [own[0] + r[0], own[1] + r[1]] })
         };
-        let mut section = vec![];
-        for row in 0..rows {
-            for part in [-1.0, 1.0] {
-                // Gauss's two points in each row.
-                let y = low[1] + step * (row as f64 + 0.5 + 0.5 * part / 3f64.sqrt());
-                let p = [section_at, y];
-                if cloud.ground.is_in_wall(&places.polygons, p, None).is_some() {
-                    continue;
-                }
-                section.extend(sample(p).map(|sample| (sample, 0.5 * step)));
-            }
-        }
+        let section = |x: f64| {
+            let rows = cloud.ground.cells(&places.corners)[1];
+            let step = (high[1] - low[1]) / rows as f64;
+            // Gauss's two points in each row.
+            let y = |k: usize| low[1] + step * ((k / 2) as f64 + 0.5 + (k as f64 % 2.0 - 0.5) / 3f64.sqrt());
+            let points = (0..2 * rows).map(|k| [x, y(k)]);
+            let fluid = points.filter(|p| cloud.ground.is_in_wall(&places.polygons, *p, None).is_none());
+            fluid.filter_map(|p| Some((sample(p)?, 0.5 * step))).collect()
+        };
+        let (section, target) = (section(farthest), section(settings.target.clamp(low[0], high[0])));
         // What is too far from particles is refused before.
-        let probes = probes.iter().map(|p| sample(*p).unwrap_or(Sample { particle: 0, place: *p })).collect();
+        let probes = settings.probes.iter().map(|p| sample(*p).unwrap_or(Sample { particle: 0, place: *p })).collect();
         let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
         let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
         let wall_fits = cloud.wall_fits.clone();
         Self {
             section,
+            target,
             probes,
             wall_fits,
             points,
@@ -189,7 +194,8 @@ impl Measures {
 
     /// The particles at which derivatives are read, besides those on the boundary.
     pub fn read_at(&self) -> Vec<usize> {
-        self.section.iter().map(|(sample, _)| sample).chain(&self.probes).map(|sample| sample.particle).collect()
+        let sections = self.section.iter().chain(&self.target).map(|(sample, _)| sample);
+        sections.chain(&self.probes).map(|sample| sample.particle).collect()
     }
 
     /// Whether a shape has a point on the boundary of the fluid.
@@ -346,7 +352,7 @@ impl Measures {
         match figure {
             Figure::FlowRate => self.section.iter().map(|(s, weight)| weight * Self::sampled(s, at, 0)).sum(),
             Figure::HeatOutflow => {
-                self.section.iter().map(|(s, weight)| weight * Self::sampled(s, at, 0) * Self::sampled(s, at, 3)).sum()
+                self.target.iter().map(|(s, weight)| weight * Self::sampled(s, at, 0) * Self::sampled(s, at, 3)).sum()
             }
             Figure::Force { shape, along } => {
                 let own = self.surface_force(at, shape, along);
@@ -431,7 +437,7 @@ impl Measures {
                 self.section.iter().for_each(|(s, own)| Self::sampled_back(s, at, 0, weight * own, bar));
             }
             Figure::HeatOutflow => {
-                for (s, own) in &self.section {
+                for (s, own) in &self.target {
                     let (u, t) = (Self::sampled(s, at, 0), Self::sampled(s, at, 3));
                     Self::sampled_back(s, at, 0, weight * own * t, bar);
                     Self::sampled_back(s, at, 3, weight * own * u, bar);

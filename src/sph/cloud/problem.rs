@@ -1,7 +1,7 @@
 //! A steady flow around shapes as a function of their numbers: figures, and their exact derivatives.
 
 use super::equations::{Bar, Derivatives, State};
-use super::figures::{At, Figure, Measures, Rate};
+use super::figures::{At, Figure, MeasureSettings, Measures, Rate};
 use super::particles::{Cloud, Shaped, Unusable};
 use super::steady::{Held, NoSteadyState, Solver};
 use std::sync::Arc;
@@ -55,20 +55,17 @@ impl<const D: usize> From<NoSteadyState> for NoSolution<D> {
 pub(super) const CONTINUATION: [f64; 4] = [8.0, 4.0, 2.0, 1.0];
 
 impl SteadyFlow {
-    /// `probes`: see [`Measures::new`]; `balances`: whether forces and heat of bodies may be those that a steady flow balances.
-    ///
     /// # Errors
     /// A map of the reference shape that folds, which cannot be.
     pub fn new(
         cloud: Cloud,
         held: Option<Held>,
-        probes: &[[f64; 2]],
-        balances: bool,
+        settings: MeasureSettings<'_, 2>,
         threads: usize,
     ) -> Result<Self, Unusable> {
         let shaped = cloud.shaped(&cloud.numbers())?;
         let solver = Solver::new(cloud.equations(&shaped), &cloud.places.place, threads);
-        let measures = Measures::new(&cloud, None, probes, balances);
+        let measures = Measures::new(&cloud, settings);
         Ok(Self { cloud, solver, measures, held, last: None })
     }
 

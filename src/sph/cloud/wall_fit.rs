@@ -47,9 +47,9 @@ fn slopes([x, y]: [f64; 2]) -> [[f64; Q]; 2] {
 }
 
 /// Cholesky's factor of a symmetric matrix; a direction without neighbours is left out.
-fn factorised(mut m: [[f64; Q]; Q]) -> [[f64; Q]; Q] {
+pub(super) fn factorised<const N: usize>(mut m: [[f64; N]; N]) -> [[f64; N]; N] {
     let least = 1e-12 * (m[0][0] + m[1][1]);
-    for a in 0..Q {
+    for a in 0..N {
         for b in 0..=a {
             let sum: f64 = (0..b).map(|c| m[a][c] * m[b][c]).sum();
             let rest = m[a][b] - sum;
@@ -59,13 +59,13 @@ fn factorised(mut m: [[f64; Q]; Q]) -> [[f64; Q]; Q] {
     m
 }
 
-fn solved(factor: &[[f64; Q]; Q], mut x: [f64; Q]) -> [f64; Q] {
-    for a in 0..Q {
+pub(super) fn solved<const N: usize>(factor: &[[f64; N]; N], mut x: [f64; N]) -> [f64; N] {
+    for a in 0..N {
         let sum: f64 = (0..a).map(|b| factor[a][b] * x[b]).sum();
         x[a] = (x[a] - sum) / factor[a][a];
     }
-    for a in (0..Q).rev() {
-        let sum: f64 = (a + 1..Q).map(|b| factor[b][a] * x[b]).sum();
+    for a in (0..N).rev() {
+        let sum: f64 = (a + 1..N).map(|b| factor[b][a] * x[b]).sum();
         x[a] = (x[a] - sum) / factor[a][a];
     }
     x

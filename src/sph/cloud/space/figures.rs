@@ -5,7 +5,7 @@
 //! The difference is shared among the shapes by their areas.
 
 use super::super::equations::Warmth;
-use super::super::figures::Figure;
+use super::super::figures::{Figure, MeasureSettings};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::Nearest;
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
@@ -27,7 +27,10 @@ struct Sample {
 /// What figures need beside the state.
 #[derive(Debug)]
 pub struct Measures {
+    /// Where the flow rate is told, as far from bodies as possible.
     section: Vec<Sample>,
+    /// Where the heat outflow is told.
+    target: Vec<Sample>,
     probes: Vec<Sample>,
     /// Indices of boundary points by shape.
     points: Vec<Vec<usize>>,
@@ -60,9 +63,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 const Q: usize = monomials(3);
 
 impl Measures {
-    /// `probes`: points at which fields are figures; `balances`: whether forces and heat of shapes are those that a steady flow
-    /// balances, and not those of their surfaces.
-    pub fn new(cloud: &Cloud, probes: &[[f64; 3]], balances: bool) -> Self {
+    pub fn new(cloud: &Cloud, settings: MeasureSettings<'_, 3>) -> Self {
         let (region, places) = (cloud.ground.region, &cloud.places);
         let shapes = cloud.ground.surfaces.len();
         let mut points = vec![vec![]; shapes];
@@ -88,7 +89,7 @@ impl Measures {
         };
         let areas: Vec<f64> = (0..shapes).map(area).collect();
         let total: f64 = areas.iter().sum();
-        let share = areas.iter().map(|area| if balances { area / total } else { 0.0 }).collect();
+        let share = areas.iter().map(|area| if settings.balances { area / total } else { 0.0 }).collect();
         let near = Nearest::new(region, cloud.ground.dx, &places.place);
         let sample = |p: [f64; 3], weight: f64| {
             let (_, particle) = near.one(p, 3.0 * cloud.ground.dx)?;
@@ -110,31 +111,34 @@ impl Measures {
             (0..64).map(of).fold(ends, f64::min)
         };
         let columns = (0..cells[0]).map(|k| k as f64 * step[0]);
-        let at = columns
-            .map(|x| (x, distance(x)))
-            .fold((0.0, f64::MIN), |best, one| if one.1 > best.1 + 1e-9 { one } else { best })
-            .0;
-        let mut section = vec![];
+        let (farthest, _) =
+            columns
+                .map(|x| (x, distance(x)))
+                .fold((0.0, f64::MIN), |best, one| if one.1 > best.1 + 1e-9 { one } else { best });
         // Gauss's two points along each edge of a cell.
         let gauss = |k: usize, d: usize| step[d] * ((k / 2) as f64 + 0.5 + (k as f64 % 2.0 - 0.5) / 3f64.sqrt());
-        for k in 0..4 * cells[1] * cells[2] {
-            let p = [at, gauss(k / (2 * cells[2]), 1), gauss(k % (2 * cells[2]), 2)];
-            if cloud.ground.distance(p, None) > 0.0 {
-                section.extend(sample(p, 0.25 * step[1] * step[2]));
-            }
-        }
-        let probes =
-            probes.iter().map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 })).collect();
+        let section = |x: f64| {
+            let points =
+                (0..4 * cells[1] * cells[2]).map(|k| [x, gauss(k / (2 * cells[2]), 1), gauss(k % (2 * cells[2]), 2)]);
+            let fluid = points.filter(|p| cloud.ground.distance(*p, None) > 0.0);
+            fluid.filter_map(|p| sample(p, 0.25 * step[1] * step[2])).collect()
+        };
+        let (section, target) = (section(farthest), section(settings.target.min(region.size[0])));
+        let probes = settings
+            .probes
+            .iter()
+            .map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 }))
+            .collect();
         let (inside, size, periodic_x) = (places.inside, region.size, region.periodic[0]);
         let number = |surface: &Surface, d: usize| surface.parts.iter().position(|part| *part == Part::Centre(d));
         let centre_numbers = cloud.ground.surfaces.iter().map(|surface| [0, 1].map(|d| number(surface, d))).collect();
         let centre = cloud.centre.clone();
-        Self { section, probes, points, rest, share, centre_numbers, centre, inside, size, periodic_x }
+        Self { section, target, probes, points, rest, share, centre_numbers, centre, inside, size, periodic_x }
     }
 
     /// Particles at which figures need derivatives, beside those of the boundary.
     pub fn read_at(&self) -> Vec<usize> {
-        self.section.iter().chain(&self.probes).map(|sample| sample.particle).collect()
+        self.section.iter().chain(&self.target).chain(&self.probes).map(|sample| sample.particle).collect()
     }
 
     /// The Taylor polynomial's monomials from a sample's particle to its place.
@@ -300,11 +304,9 @@ impl Measures {
         let shapes = 0..self.share.len();
         match figure {
             Figure::FlowRate => self.section.iter().map(|s| s.weight * Self::sampled(s, at, 0)).sum(),
-            Figure::HeatOutflow => self
-                .section
-                .iter()
-                .map(|s| s.weight * Self::sampled(s, at, 0) * Self::sampled(s, at, TEMPERATURE))
-                .sum(),
+            Figure::HeatOutflow => {
+                self.target.iter().map(|s| s.weight * Self::sampled(s, at, 0) * Self::sampled(s, at, TEMPERATURE)).sum()
+            }
             Figure::Force { shape, along } if !self.balances_force(at, shape) => self.surface_force(at, shape, along),
             Figure::Force { shape, along } => {
                 let all: f64 = shapes.map(|body| self.surface_force(at, body, along)).sum();
@@ -337,7 +339,7 @@ impl Measures {
                 self.section.iter().for_each(|s| Self::sampled_back(s, at, 0, weight * s.weight, bar));
             }
             Figure::HeatOutflow => {
-                for s in &self.section {
+                for s in &self.target {
                     let (u, t) = (Self::sampled(s, at, 0), Self::sampled(s, at, TEMPERATURE));
                     Self::sampled_back(s, at, 0, weight * s.weight * t, bar);
                     Self::sampled_back(s, at, TEMPERATURE, weight * s.weight * u, bar);

@@ -1,6 +1,6 @@
 //! A steady flow around shapes in space as a function of their numbers: figures, and their exact derivatives.
 
-use super::super::figures::Figure;
+use super::super::figures::{Figure, MeasureSettings};
 use super::super::particles::Unusable;
 use super::super::problem::{Gradient, NoSolution, CONTINUATION};
 use super::super::steady::{Held, NoSteadyState};
@@ -30,20 +30,17 @@ pub struct Solution {
 }
 
 impl SteadyFlow {
-    /// `probes`, `balances`: see [`Measures::new`].
-    ///
     /// # Errors
     /// A map of the reference shape that folds, which cannot be.
     pub fn new(
         cloud: Cloud,
         held: Option<Held>,
-        probes: &[[f64; 3]],
-        balances: bool,
+        settings: MeasureSettings<'_, 3>,
         threads: usize,
     ) -> Result<Self, Unusable<3>> {
         let shaped = cloud.shaped(&cloud.numbers())?;
         let solver = Solver::new(cloud.equations(&shaped), threads);
-        let measures = Measures::new(&cloud, probes, balances);
+        let measures = Measures::new(&cloud, settings);
         Ok(Self { cloud, solver, measures, held, last: None })
     }
 
