@@ -963,10 +963,6 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
     let probe = |key: &str| channel(0.03, key) + &shape("disc", &[0.5, 0.2, 0.08]);
     refuses(&probe("objective.terms = [{ kind = \"pressure\" }]"), &["objective.terms[0]", "at = [x, y]"]);
     refuses(
-        &probe("objective.target_x = 7.0\nobjective.terms = [{ kind = \"heat-outflow\" }]"),
-        &["objective.target_x = 7 is outside the box", "region.size[0]"],
-    );
-    refuses(
         &probe("method.flow = \"unsteady\"\nfluid.drive = \"pumping-power\"\nfluid.pumping_power = 1.0"),
         &["fluid.drive", "flow=steady"],
     );

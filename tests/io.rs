@@ -331,8 +331,9 @@ fn a_file_can_be_read_while_a_program_runs_that_was_started_when_it_was_written(
     })?;
     let found = hdf5_file::open(&path, "state").map(|_| ());
     let mut program = started.expect("it was written");
-    program.kill()?;
+    let ended = program.kill();
     program.wait()?;
+    ended?;
     Ok(found?)
 }
 

@@ -125,7 +125,8 @@ fn print_measured(config: &Config, d: &Diagnostics) {
         println!("wall heat flux      {flux:.6}   stored {stored:+.6}{balance}");
     }
     if config.flows_through() {
-        println!("flow rate           {:.6}   fastest particle along x {:.4}", d.flow_rate, d.u_max);
+        let depth = if config.dimension() == 3 { "per depth; " } else { "" };
+        println!("flow rate           {:.6}   {depth}fastest particle along x {:.4}", d.flow_rate, d.u_max);
         println!("body force          {:.6}   pumping power {:.6}", d.body_force, d.pumping_power);
         if config.has_heat() {
             println!(

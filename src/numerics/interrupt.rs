@@ -50,7 +50,7 @@ fn begin(speaks: bool) -> std::io::Result<()> {
         let mut first = None;
         for signal in signals.forever() {
             let since = first.get_or_insert_with(Instant::now).elapsed();
-            let is_first = ASKED.swap(signal, Ordering::Relaxed) == 0;
+            let is_first = ASKED.load(Ordering::Relaxed) == 0;
             if !is_first && signal == SIGTERM && since < TOGETHER {
                 continue;
             }
@@ -58,14 +58,15 @@ fn begin(speaks: bool) -> std::io::Result<()> {
                 let _ = emulate_default_handler(signal);
             }
             if speaks {
-                // Where stderr is closed there is nobody to tell.
+                // Before the work sees the signal, because it may be at its end at once. Where stderr is closed there is nobody to tell.
                 let _ =
                     writeln!(std::io::stderr(), "{}: keeps what there is, then stops (again: at once)", name(signal));
-                if NEEDS_OTHERS.load(Ordering::Relaxed) {
-                    std::thread::sleep(PATIENCE);
-                    if !OTHERS_ANSWERED.load(Ordering::Relaxed) {
-                        let _ = writeln!(std::io::stderr(), "{}", unanswered());
-                    }
+            }
+            ASKED.store(signal, Ordering::Relaxed);
+            if speaks && NEEDS_OTHERS.load(Ordering::Relaxed) {
+                std::thread::sleep(PATIENCE);
+                if !OTHERS_ANSWERED.load(Ordering::Relaxed) {
+                    let _ = writeln!(std::io::stderr(), "{}", unanswered());
                 }
             }
         }

@@ -68,7 +68,7 @@ pub struct ShapeHeat {
 }
 
 impl ShapeHeat {
-    /// None where no shape with a temperature and an outline touches the fluid, and in three dimensions.
+    /// None where no shape with a temperature touches the fluid, and in three dimensions.
     ///
     /// # Errors
     /// Formulas that cannot be read.
@@ -94,7 +94,7 @@ impl ShapeHeat {
                     let ([x, y], [nx, ny]) = (middle(edge), normal(edge));
                     [x + by * spacing * nx, y + by * spacing * ny, 0.0]
                 };
-                // The nearest to the surface counts, and no other shape covers that.
+                // Where another shape covers the surface, that one's outline counts.
                 let wall = walls.shape_at(beside(-1e-2)).filter(|&wall| all[wall].entry.fill == Fill::Wall);
                 wall.filter(|&wall| walls.distance(beside(0.25)) > 0.0 && (wall == k) == is_wall)
             };
@@ -132,13 +132,18 @@ impl ShapeHeat {
         let conductivity = config.fluid.conductivity;
         let skipped = if is_standard { SKIPPED * spacing } else { 0.0 };
         let found = Self { plane, spacing, conductivity, without, skipped, pieces };
-        Ok(Some(found).filter(|found| !found.pieces.is_empty()))
+        // Where nothing is known that is said, too.
+        let has_any = !found.pieces.is_empty() || found.without.iter().any(|heat| heat.is_nan());
+        Ok(has_any.then_some(found))
     }
 
     /// The heat of each shape per time and depth, given places and temperatures (relative to the reference) of fluid; 0 of shapes
     /// without a temperature, NaN of those with one whose outline is not known (`where`), and with the standard method of those that are not
     /// plane. None with too few particles beside a surface.
     pub fn of_fluid(&self, fluid: &[([f64; 2], f64)]) -> Option<Vec<f64>> {
+        if self.pieces.is_empty() {
+            return Some(self.without.clone());
+        }
         let (walls, warmth): (Vec<[f64; 2]>, Vec<f64>) =
             self.pieces.iter().map(|piece| (piece.place, piece.temperature)).unzip();
         let surface = Nearest::new(self.plane, self.spacing, &walls);

@@ -373,9 +373,6 @@ impl Config {
                     .allowed("with initial.temperature")
                     .advice("initial.temperature=0.0"));
             }
-            if kind == ObjectiveKind::HeatOutflow {
-                self.check_target()?;
-            }
             match kind {
                 ObjectiveKind::Area | ObjectiveKind::Distance | ObjectiveKind::Volume if !limit => {
                     Err(bad("area, distance and volume are for limits").allowed("[[limits]] with at_least or at_most"))
@@ -504,7 +501,7 @@ impl Config {
             .allowed("consistent with them")
             .advice("method.name=consistent"));
         }
-        let objective = &self.objective;
+        let (objective, along) = (&self.objective, self.region.size[0]);
         if self.is_around_shapes() {
             return self.optimise.check(self.run.precision);
         }
@@ -524,21 +521,14 @@ impl Config {
                 .allowed("flow-rate; the others with initial.temperature")
                 .advice("objective.kind=flow-rate, or initial.temperature=1.0"));
         }
-        self.check_target()?;
-        self.optimise.check(self.run.precision)
-    }
-
-    /// Checks that the section of the objective is in the box.
-    fn check_target(&self) -> Result<(), BadInput> {
-        let (target, along) = (self.objective.target_x, self.region.size[0]);
-        if target > along {
+        if objective.target_x > along {
             return Err(BadInput::at(
                 "objective.target_x",
-                format!("objective.target_x = {target} is outside the box"),
+                format!("objective.target_x = {} is outside the box", objective.target_x),
             )
             .allowed(format!("0 ... {along}, region.size[0]")));
         }
-        Ok(())
+        self.optimise.check(self.run.precision)
     }
 
     /// Checks that dx divides the box, and that the box is neither too small nor too large.
