@@ -493,7 +493,7 @@ fn fits_beside_corners_find_the_singular_temperature() {
     }
 }
 
-/// Behind a warm disc the stream carries its heat, before it none: less than what conduction along the stream makes of it.
+/// Behind a warm disc the stream carries its heat, and before it none.
 #[test]
 fn heat_flows_out_through_the_section_that_is_asked_for() {
     let outflow = |target: f64| {

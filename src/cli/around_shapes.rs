@@ -118,16 +118,15 @@ pub fn print_figures(config: &Config, figures: &Figures) {
         ("heat_outflow", "heat outflow"),
     ] {
         if let Some(value) = number(figures, name) {
-            // Of moving particles it is per depth.
-            let whole = if config.dimension() == 3 { ", of the whole section" } else { "" };
-            let section = match name {
-                "heat_outflow" => {
-                    format!("   through x = {}{whole}", config.objective.target_x.min(config.region.size[0]))
-                }
-                "flow_rate" => whole.replace(", ", "   "),
-                _ => String::new(),
-            };
-            println!("{label:<20}{value:.6}{section}");
+            let mut about = vec![];
+            if name == "heat_outflow" {
+                about.push(format!("through x = {}", config.objective.target_x.min(config.region.size[0])));
+            }
+            // Of moving particles these are per depth.
+            if config.dimension() == 3 && matches!(name, "flow_rate" | "heat_outflow") {
+                about.push("of the whole section".to_string());
+            }
+            println!("{}", format!("{label:<20}{value:.6}   {}", about.join(", ")).trim_end());
         }
     }
     let mut header = vec!["shape", "drag", "lift", "torque"];

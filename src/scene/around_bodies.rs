@@ -1,6 +1,6 @@
 //! Custom scenes of fixed particles in three dimensions: the bodies of a configuration, and what holds on them.
 
-use super::around_shapes::{held, not_in_fluid, probes, sides, unusable, Wall};
+use super::around_shapes::{held, measure_settings, not_in_fluid, probes, sides, unusable, Wall};
 use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
 use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, SideKind};
@@ -10,7 +10,6 @@ use crate::io::stl;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::Warmth;
-use crate::sph::cloud::figures::MeasureSettings;
 use crate::sph::cloud::nearest::Region;
 use crate::sph::cloud::outline::Outline;
 use crate::sph::cloud::particles::Fluid;
@@ -200,11 +199,7 @@ impl AroundBodies {
         if let Some(probe) = probes.iter().find(|probe| cloud.ground.distance(**probe, None) < -0.5 * spacing) {
             return Err(not_in_fluid(probe).into());
         }
-        let settings = MeasureSettings {
-            probes: &probes,
-            target: config.objective.target_x,
-            balances: config.unsteady().is_none(),
-        };
+        let settings = measure_settings(config, &probes);
         let flow = SteadyFlow::new(cloud, held, settings, threads).map_err(|why| unusable(config, &why))?;
         Ok(Self { flow, config: config.clone(), probes, wanted, by_viscosity: false })
     }

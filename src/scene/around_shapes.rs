@@ -240,11 +240,7 @@ impl AroundShapes {
         }
         let probes = probes(config);
         check_probes(&cloud, &probes)?;
-        let settings = MeasureSettings {
-            probes: &probes,
-            target: config.objective.target_x,
-            balances: config.unsteady().is_none(),
-        };
+        let settings = measure_settings(config, &probes);
         let flow = SteadyFlow::new(cloud, held, settings, threads).map_err(|why| unusable(config, &why))?;
         if let Some(k) = (0..config.shapes.len()).find(|&k| !flow.measures.is_seen(k)) {
             let problem =
@@ -399,6 +395,11 @@ fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
     let stays = |k: usize| slopes[k].place.iter().all(|x| x.slope.abs() < 1e-12);
     let next = |k: usize| (k + 1) % free.len();
     (0..free.len()).filter(|&k| free[k] != free[next(k)]).all(|k| stays(k) && stays(next(k)))
+}
+
+/// What a configuration asks of figures.
+pub(super) fn measure_settings<'a, const D: usize>(config: &Config, probes: &'a [[f64; D]]) -> MeasureSettings<'a, D> {
+    MeasureSettings { probes, target: config.objective.target_x, balances: config.unsteady().is_none() }
 }
 
 /// The points of all probes of a checked configuration in D dimensions.

@@ -3,8 +3,13 @@
 use crate::config::custom::{functions, Kind, ShapeEntry};
 use crate::config::formula::{Formula, Function, ReadFormula};
 use crate::error::BadInput;
+use crate::sph::cloud::nearest::Plane;
 pub(super) use crate::sph::cloud::outline::is_inside;
-use crate::sph::cloud::outline::Outline;
+use crate::sph::cloud::outline::{area_within, Outline};
+use std::f64::consts::PI;
+
+/// The edges of round outlines turn by no more. Radians.
+const ROUND: f64 = 0.01;
 
 /// A shape with parsed formulas.
 pub struct Shape<'a> {
@@ -108,6 +113,34 @@ impl<'a> Shape<'a> {
             Kind::Where => self.positive.as_ref().is_some_and(|positive| positive.at(p) > 0.0),
         }
     }
+
+    /// The corners of its outline in the plane, counter-clockwise, of round ones close ones; none of `where`.
+    pub(super) fn outline(&self, plane: &Plane) -> Vec<[f64; 2]> {
+        let ShapeEntry { lower, upper, centre, radius, points, thickness, .. } = self.entry;
+        // A checked configuration has the keys that its kind needs.
+        let plain = |of: &Option<Vec<f64>>| of.as_ref().map_or([0.0; 2], |of| [of[0], of[1]]);
+        let points = points.as_deref().unwrap_or_default();
+        let mut found = match self.entry.kind {
+            Kind::Box => {
+                let (mut low, mut high) = (plain(lower), plain(upper));
+                // One that is longer than a period touches its own images.
+                for d in 0..2 {
+                    if plane.periodic[d] && high[d] - low[d] > plane.size[d] {
+                        (low[d], high[d]) = (0.0, plane.size[d]);
+                    }
+                }
+                vec![low, [high[0], low[1]], high, [low[0], high[1]]]
+            }
+            Kind::Disc => around(plain(centre), [1.0, 0.0], 2.0 * PI, radius.unwrap_or_default()),
+            Kind::Polygon => points.to_vec(),
+            Kind::Polyline => around_line(points, 0.5 * thickness.unwrap_or_default()),
+            _ => self.polygon.clone(),
+        };
+        if area_within(found.len(), |k| found[k]) < 0.0 {
+            found.reverse();
+        }
+        found
+    }
 }
 
 /// A shape that is a curve as a polygon whose edges are a few hundredths of its size.
@@ -118,6 +151,45 @@ fn polygon(entry: &ShapeEntry) -> Vec<[f64; 2]> {
     let Some(outline) = Outline::new(entry, 0.0) else { return vec![] };
     let samples = outline.samples(if entry.kind == Kind::Naca { 1 } else { 12 });
     outline.points(&samples, &outline.numbers).iter().map(|on| on.place).collect()
+}
+
+/// Points on an arc about `centre` that begins in a direction.
+fn around(centre: [f64; 2], [x, y]: [f64; 2], turn: f64, radius: f64) -> Vec<[f64; 2]> {
+    let count = (turn / ROUND).ceil();
+    let at = |k: usize| {
+        let (sin, cos) = (turn * k as f64 / count).sin_cos();
+        [centre[0] + radius * (x * cos - y * sin), centre[1] + radius * (x * sin + y * cos)]
+    };
+    (0..=count as usize).map(at).collect()
+}
+
+/// What is no farther than `half` from a line through points.
+fn around_line(points: &[[f64; 2]], half: f64) -> Vec<[f64; 2]> {
+    // There and back, with the line on the left.
+    let way: Vec<[f64; 2]> =
+        points.iter().chain(points.iter().rev().skip(1).take(points.len().saturating_sub(2))).copied().collect();
+    let corner = |k: usize| {
+        let (before, own, after) = (way[(k + way.len() - 1) % way.len()], way[k], way[(k + 1) % way.len()]);
+        let (a, b) = (right_of(before, own), right_of(own, after));
+        let turn = (a[0] * b[1] - a[1] * b[0]).atan2(a[0] * b[0] + a[1] * b[1]);
+        match turn {
+            // It turns back at its ends.
+            _ if turn.abs() > PI - 1e-9 => around(own, a, PI, half),
+            _ if turn > 0.0 => around(own, a, turn, half),
+            _ => {
+                let by = half / (1.0 + a[0] * b[0] + a[1] * b[1]);
+                vec![[own[0] + by * (a[0] + b[0]), own[1] + by * (a[1] + b[1])]]
+            }
+        }
+    };
+    (0..way.len()).flat_map(corner).collect()
+}
+
+/// The unit normal on the right of an edge.
+pub(super) fn right_of(from: [f64; 2], to: [f64; 2]) -> [f64; 2] {
+    let along = [to[0] - from[0], to[1] - from[1]];
+    let length = along[0].hypot(along[1]);
+    [along[1] / length, -along[0] / length]
 }
 
 /// The distance of a point from the segment between two others.

@@ -11,9 +11,9 @@
 //! method, whose own exchange with walls has an error of first order in the spacing beside them.
 
 use super::custom::{shapes, surroundings};
-use super::custom_shape::Shape;
+use super::custom_shape::{right_of, Shape};
 use crate::adjoint::run::Observer;
-use crate::config::custom::{Fill, Kind, ShapeEntry};
+use crate::config::custom::{Fill, Kind};
 use crate::config::scene::{Config, Method};
 use crate::error::BadInput;
 use crate::numerics::lanes::Real;
@@ -24,7 +24,6 @@ use crate::sph::dynamics::Sph;
 use crate::sph::solver::Solver;
 use crate::sph::{Model, Sweeps};
 use std::collections::BTreeSet;
-use std::f64::consts::PI;
 
 /// With the standard method the temperature of the particles nearest to a wall contains the error of the wall condition: beside a wall with
 /// a linear temperature they make the flux 1.3 % too large at any spacing. In spacings. (Beside a disc of five spacings, or a box, they are up to
@@ -37,8 +36,6 @@ const BEHIND: f64 = 0.5;
 const SMOOTH: f64 = 0.3;
 /// Shorter edges than this do not cut a corner off. In spacings.
 const CUT: f64 = 1e-2;
-/// The edges of round outlines turn by no more. Radians.
-const ROUND: f64 = 0.01;
 
 /// The middle of a piece of a surface.
 #[derive(Debug, Clone, Copy)]
@@ -89,7 +86,7 @@ impl ShapeHeat {
         for (k, shape) in all.iter().enumerate() {
             // The wall is behind the outline of a shape, or around one that cuts an opening into walls.
             let is_wall = shape.entry.fill == Fill::Wall;
-            let wall_at = |edge: &[[f64; 2]; 2]| {
+            let wall_at = |edge: &Edge| {
                 let beside = |by: f64| {
                     let ([x, y], [nx, ny]) = (middle(edge), normal(edge));
                     [x + by * spacing * nx, y + by * spacing * ny, 0.0]
@@ -98,25 +95,20 @@ impl ShapeHeat {
                 let wall = walls.shape_at(beside(-1e-2)).filter(|&wall| all[wall].entry.fill == Fill::Wall);
                 wall.filter(|&wall| walls.distance(beside(0.25)) > 0.0 && (wall == k) == is_wall)
             };
-            let mut outline = outline(shape, &plane);
+            let mut outline = shape.outline(&plane);
             if !is_wall {
                 outline.reverse();
             }
             let mut runs = runs(edges(&outline, &plane, spacing), wall_at);
             runs.retain(|(_, run)| length(run) > CUT * spacing);
-            // Of the end of one run and the beginning of the next.
-            let corner = |k: usize| {
-                let ((wall, to), (next, from)) = (&runs[k], &runs[(k + 1) % runs.len()]);
-                let ([.., before, end], [begin, after, ..]) = (&to[..], &from[..]) else { return None };
-                let between = |a: &[f64; 2], b: &[f64; 2]| [b[0] - a[0], b[1] - a[1]];
-                let is_one = wall == next && distance(*end, *begin) < 2.0 * CUT * spacing;
-                Corner::new(plane.wrapped(*end), between(before, end), between(begin, after), SMOOTH).filter(|_| is_one)
-            };
             for (k, (wall, run)) in runs.iter().enumerate() {
                 let Some(temperature) = &all[*wall].on_wall.temperature else { continue };
                 let at = |[x, y]: [f64; 2]| temperature.at([x, y, 0.0]) - reference;
-                let ends =
-                    [(k + runs.len() - 1) % runs.len(), k].map(|k| corner(k).map(|corner| (corner, at(corner.place))));
+                let count = runs.len();
+                let ends = [[(k + count - 1) % count, k], [k, (k + 1) % count]].map(|[k, next]| {
+                    let corner = corner_between(&plane, &runs[k], &runs[next], spacing)?;
+                    Some((corner, at(corner.place)))
+                });
                 let parts = parts(run, spacing, ends.iter().flatten().count().max(1));
                 let last = parts.len() - 1;
                 for (k, (place, normal, length)) in parts.into_iter().enumerate() {
@@ -141,9 +133,6 @@ impl ShapeHeat {
     /// without a temperature, NaN of those with one whose outline is not known (`where`), and with the standard method of those that are not
     /// plane. None with too few particles beside a surface.
     pub fn of_fluid(&self, fluid: &[([f64; 2], f64)]) -> Option<Vec<f64>> {
-        if self.pieces.is_empty() {
-            return Some(self.without.clone());
-        }
         let (walls, warmth): (Vec<[f64; 2]>, Vec<f64>) =
             self.pieces.iter().map(|piece| (piece.place, piece.temperature)).unzip();
         let surface = Nearest::new(self.plane, self.spacing, &walls);
@@ -182,71 +171,9 @@ impl ShapeHeat {
     }
 }
 
-/// The corners of a shape's outline as particles see it, counter-clockwise, of round ones close ones; none of `where`.
-fn outline(shape: &Shape, plane: &Plane) -> Vec<[f64; 2]> {
-    let ShapeEntry { lower, upper, centre, radius, points, thickness, .. } = shape.entry;
-    // A checked configuration has the keys that its kind needs.
-    let plain = |of: &Option<Vec<f64>>| of.as_ref().map_or([0.0; 2], |of| [of[0], of[1]]);
-    let points = points.as_deref().unwrap_or_default();
-    let mut found = match shape.entry.kind {
-        Kind::Box => {
-            let (mut low, mut high) = (plain(lower), plain(upper));
-            // One that is longer than a period touches its own images.
-            for d in 0..2 {
-                if plane.periodic[d] && high[d] - low[d] > plane.size[d] {
-                    (low[d], high[d]) = (0.0, plane.size[d]);
-                }
-            }
-            vec![low, [high[0], low[1]], high, [low[0], high[1]]]
-        }
-        Kind::Disc => around(plain(centre), [1.0, 0.0], 2.0 * PI, radius.unwrap_or_default()),
-        Kind::Polygon => points.to_vec(),
-        Kind::Polyline => around_line(points, 0.5 * thickness.unwrap_or_default()),
-        _ => shape.polygon.clone(),
-    };
-    let doubled = |k: usize| {
-        let ([ax, ay], [bx, by]) = (found[k], found[(k + 1) % found.len()]);
-        ax * by - ay * bx
-    };
-    if (0..found.len()).map(doubled).sum::<f64>() < 0.0 {
-        found.reverse();
-    }
-    found
-}
-
-/// Points on an arc about `centre` from the direction `from` on.
-fn around(centre: [f64; 2], [x, y]: [f64; 2], turn: f64, radius: f64) -> Vec<[f64; 2]> {
-    let count = (turn / ROUND).ceil();
-    let at = |k: usize| {
-        let (sin, cos) = (turn * k as f64 / count).sin_cos();
-        [centre[0] + radius * (x * cos - y * sin), centre[1] + radius * (x * sin + y * cos)]
-    };
-    (0..=count as usize).map(at).collect()
-}
-
-/// What is no farther than `half` from a line through points.
-fn around_line(points: &[[f64; 2]], half: f64) -> Vec<[f64; 2]> {
-    // There and back, with the line on the left.
-    let way: Vec<[f64; 2]> =
-        points.iter().chain(points.iter().rev().skip(1).take(points.len().saturating_sub(2))).copied().collect();
-    let corner = |k: usize| {
-        let (before, own, after) = (way[(k + way.len() - 1) % way.len()], way[k], way[(k + 1) % way.len()]);
-        let (a, b) = (normal(&[before, own]), normal(&[own, after]));
-        let turn = (a[0] * b[1] - a[1] * b[0]).atan2(a[0] * b[0] + a[1] * b[1]);
-        match turn {
-            // It turns back at its ends.
-            _ if turn.abs() > PI - 1e-9 => around(own, a, PI, half),
-            _ if turn > 0.0 => around(own, a, turn, half),
-            _ => {
-                let by = half / (1.0 + a[0] * b[0] + a[1] * b[1]);
-                vec![[own[0] + by * (a[0] + b[0]), own[1] + by * (a[1] + b[1])]]
-            }
-        }
-    };
-    (0..way.len()).flat_map(corner).collect()
-}
-
 type Edge = [[f64; 2]; 2];
+/// A wall, and the points of a smooth part of its surface.
+type Run = (usize, Vec<[f64; 2]>);
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (b[0] - a[0]).hypot(b[1] - a[1])
@@ -262,9 +189,7 @@ fn middle([from, to]: &Edge) -> [f64; 2] {
 
 /// The unit normal on the right.
 fn normal([from, to]: &Edge) -> [f64; 2] {
-    let along = [to[0] - from[0], to[1] - from[1]];
-    let length = along[0].hypot(along[1]);
-    [along[1] / length, -along[0] / length]
+    right_of(*from, *to)
 }
 
 /// Edges of no more than a spacing between points around a shape, within the box.
@@ -279,14 +204,14 @@ fn edges(points: &[[f64; 2]], plane: &Plane, spacing: f64) -> Vec<Edge> {
     found
 }
 
-/// The points of smooth runs of edges that are the same wall's, with that wall. A run ends at corners and at edges of none.
-fn runs(edges: Vec<Edge>, wall_at: impl Fn(&Edge) -> Option<usize>) -> Vec<(usize, Vec<[f64; 2]>)> {
-    let goes_on = |(own, run): &(usize, Vec<[f64; 2]>), wall: usize, edge: &Edge| {
+/// The smooth runs of edges that are the same wall's. A run ends at corners and at edges of none.
+fn runs(edges: Vec<Edge>, wall_at: impl Fn(&Edge) -> Option<usize>) -> Vec<Run> {
+    let goes_on = |(own, run): &Run, wall: usize, edge: &Edge| {
         let [.., before, end] = run[..] else { return false };
         let ([ax, ay], [bx, by]) = (normal(&[before, end]), normal(edge));
         *own == wall && ax * bx + ay * by > SMOOTH.cos() && distance(end, edge[0]) < 1e-6 * distance(edge[0], edge[1])
     };
-    let mut found: Vec<(usize, Vec<[f64; 2]>)> = vec![];
+    let mut found: Vec<Run> = vec![];
     for edge in edges {
         let Some(wall) = wall_at(&edge) else { continue };
         match found.last_mut() {
@@ -302,6 +227,16 @@ fn runs(edges: Vec<Edge>, wall_at: impl Fn(&Edge) -> Option<usize>) -> Vec<(usiz
         }
     }
     found
+}
+
+/// The corner between the end of a run and the beginning of the next one, if they are one wall's, meet there, and point into the fluid.
+fn corner_between(plane: &Plane, (wall, to): &Run, (next, from): &Run, spacing: f64) -> Option<Corner> {
+    let ([.., before, end], [begin, after, ..]) = (&to[..], &from[..]) else { return None };
+    if wall != next || distance(*end, *begin) >= 2.0 * CUT * spacing {
+        return None;
+    }
+    let along = |a: &[f64; 2], b: &[f64; 2]| [b[0] - a[0], b[1] - a[1]];
+    Corner::new(plane.wrapped(*end), along(before, end), along(begin, after), SMOOTH)
 }
 
 /// Equal parts of about a spacing of a run, at least so many: their middle, normal and length.

@@ -10,7 +10,8 @@
 //! places, with the weights of [`super::fit`], and the heat of a wall from the corner to a distance l is - k (A l^(pi/beta) + g . n l). (By
 //! polynomials the heat of boxes and pentagons of seven spacings is 14 % too small, by this fit 1 % off, from 12 to 25 neighbours.)
 
-use super::wall_fit::{factorised, solved};
+use super::fit::weight;
+use super::wall_fit;
 use std::f64::consts::PI;
 
 /// Neighbours of a fit.
@@ -57,18 +58,12 @@ impl Corner {
     pub fn fit(&self, near: &[([f64; 2], f64)]) -> Option<CornerFit> {
         let length = |r: [f64; 2]| r[0].hypot(r[1]);
         let (power, reach) = (PI / self.angle, length(near.get(NEIGHBOURS)?.0));
-        let (mut m, mut right) = ([[0.0; 3]; 3], [0.0; 3]);
-        for (r, difference) in &near[..NEIGHBOURS] {
-            let q = length(*r) / reach;
-            let weight = (1.0 - q).powi(4) * (1.0 + 4.0 * q);
-            let singular = q.powf(power) * (power * self.angle_of(*r)?).sin();
-            let terms = [singular, r[0] / reach, r[1] / reach];
-            for a in 0..3 {
-                right[a] += weight * terms[a] * difference;
-                (0..=a).for_each(|b| m[a][b] += weight * terms[a] * terms[b]);
-            }
-        }
-        Some(CornerFit { power, reach, found: solved(&factorised(m), right) })
+        // Places inside of the wall are none of the fit's.
+        let row = |&(r, difference): &([f64; 2], f64)| {
+            let (q, phi) = (length(r) / reach, self.angle_of(r)?);
+            Some(([q.powf(power) * (power * phi).sin(), r[0] / reach, r[1] / reach], weight(q), difference))
+        };
+        Some(CornerFit { power, reach, found: wall_fit::fit(near[..NEIGHBOURS].iter().filter_map(row)).1 })
     }
 }
 

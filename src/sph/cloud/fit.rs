@@ -42,6 +42,11 @@ pub(super) fn reach_and_scale(distance: f64) -> (f64, f64) {
     (reach, reach / SCALE)
 }
 
+/// W of a neighbour at a distance of q R.
+pub(super) fn weight(q: f64) -> f64 {
+    (1.0 - q).powi(4) * (1.0 + 4.0 * q)
+}
+
 /// W of a neighbour at a distance, and what is added to the difference of two places where the neighbour is a periodic image.
 pub(super) fn weight_and_shift<const D: usize>(
     plane: Region<D>,
@@ -49,9 +54,8 @@ pub(super) fn weight_and_shift<const D: usize>(
     distance: f64,
     reach: f64,
 ) -> (f64, [f64; D]) {
-    let q = distance / reach;
     let r = plane.between(own, to);
-    ((1.0 - q).powi(4) * (1.0 + 4.0 * q), std::array::from_fn(|d| r[d] - (to[d] - own[d])))
+    (weight(distance / reach), std::array::from_fn(|d| r[d] - (to[d] - own[d])))
 }
 
 /// The stencils of all particles: neighbours, weights and scales of the reference cloud.

@@ -479,7 +479,7 @@ pub fn area<S: Scalar>(points: &[OnOutline<S>]) -> S {
 }
 
 /// The area within a polygon, positive if it runs counter-clockwise, given its corners.
-pub(super) fn area_within<S: Scalar>(corners: usize, corner: impl Fn(usize) -> [S; 2]) -> S {
+pub fn area_within<S: Scalar>(corners: usize, corner: impl Fn(usize) -> [S; 2]) -> S {
     let cross = |k: usize| {
         let (a, b) = (corner(k), corner((k + 1) % corners));
         a[0] * b[1] - a[1] * b[0]

@@ -47,7 +47,7 @@ fn slopes([x, y]: [f64; 2]) -> [[f64; Q]; 2] {
 }
 
 /// Cholesky's factor of a symmetric matrix; a direction without neighbours is left out.
-pub(super) fn factorised<const N: usize>(mut m: [[f64; N]; N]) -> [[f64; N]; N] {
+fn factorised<const N: usize>(mut m: [[f64; N]; N]) -> [[f64; N]; N] {
     let least = 1e-12 * (m[0][0] + m[1][1]);
     for a in 0..N {
         for b in 0..=a {
@@ -59,7 +59,7 @@ pub(super) fn factorised<const N: usize>(mut m: [[f64; N]; N]) -> [[f64; N]; N] 
     m
 }
 
-pub(super) fn solved<const N: usize>(factor: &[[f64; N]; N], mut x: [f64; N]) -> [f64; N] {
+fn solved<const N: usize>(factor: &[[f64; N]; N], mut x: [f64; N]) -> [f64; N] {
     for a in 0..N {
         let sum: f64 = (0..a).map(|b| factor[a][b] * x[b]).sum();
         x[a] = (x[a] - sum) / factor[a][a];
@@ -69,6 +69,19 @@ pub(super) fn solved<const N: usize>(factor: &[[f64; N]; N], mut x: [f64; N]) ->
         x[a] = (x[a] - sum) / factor[a][a];
     }
     x
+}
+
+/// The fit of values by terms with weights, given all three of each neighbour: the factor of M, and the coefficients of the terms.
+pub(super) fn fit<const N: usize>(rows: impl Iterator<Item = ([f64; N], f64, f64)>) -> ([[f64; N]; N], [f64; N]) {
+    let (mut m, mut right) = ([[0.0; N]; N], [0.0; N]);
+    for (q, w, e) in rows {
+        for a in 0..N {
+            right[a] += w * q[a] * e;
+            (0..=a).for_each(|b| m[a][b] += w * q[a] * q[b]);
+        }
+    }
+    let factor = factorised(m);
+    (factor, solved(&factor, right))
 }
 
 fn dot(a: &[f64; Q], b: &[f64; Q]) -> f64 {
@@ -94,15 +107,8 @@ impl WallFit {
         let s: Vec<[f64; 2]> = self.near.iter().map(offset).collect();
         let q: Vec<[f64; Q]> = s.iter().map(|s| monomials(*s)).collect();
         let difference: Vec<f64> = self.near.iter().map(|(j, ..)| field[*j] - field[i]).collect();
-        let (mut m, mut right) = ([[0.0; Q]; Q], [0.0; Q]);
-        for ((q, (_, w, _)), e) in q.iter().zip(&self.near).zip(&difference) {
-            for a in 0..Q {
-                right[a] += w * q[a] * e;
-                (0..=a).for_each(|b| m[a][b] += w * q[a] * q[b]);
-            }
-        }
-        let factor = factorised(m);
-        Fitted { q, s, d: solved(&factor, right), factor, difference }
+        let (factor, d) = fit(q.iter().zip(&self.near).zip(&difference).map(|((q, (_, w, _)), e)| (*q, *w, *e)));
+        Fitted { q, s, d, factor, difference }
     }
 
     /// The gradient of a field `[N]` for positions `[2][N]`.
