@@ -45,6 +45,23 @@ fn tensors(folder: &Path) -> Vec<(String, Vec<u8>)> {
     names.into_iter().map(|name| (name.clone(), file.tensor(&name).unwrap().data().to_vec())).collect()
 }
 
+/// A wall that cools the fluid has a negative heat outflow. What is found is told and judged as of one that heats it.
+#[test]
+fn a_cooling_wall_is_searched_and_judged() {
+    let folder = TempDir::new().unwrap();
+    let sets = ["wall.hot_temperature=0.8", "resolution.dx=0.025", "design.bound=0.02", "output.frames=0"];
+    let mut arguments = vec!["optimize", "heated-channel", "--out", "run", "--epochs", "4"];
+    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    let said = succeeds(folder.path(), &arguments);
+    let found = summary(&folder.path().join("run"));
+    let of = |key: &str| found[key].as_f64().unwrap();
+    let change = (of("q") - of("q_first")) / of("q_first").abs();
+    assert!(of("q_first") < 0.0 && change > 0.005, "{change}");
+    assert!((of("gain") - change).abs() < 0.5 * change, "{} and {change}", of("gain"));
+    assert!(said.contains(&format!("({:+.2} %)", 100.0 * change)), "{said}");
+    assert!(found["warnings"].as_array().unwrap().iter().any(|warning| warning["code"] == "negative-objective"));
+}
+
 /// The search as the Python package has it, without files, is the command's to the bit: of a wall (by the steady state of fixed
 /// particles, and by the scene's own) and of shapes.
 #[test]

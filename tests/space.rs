@@ -192,6 +192,56 @@ fn the_same_flows_through_all_planes_of_an_array_of_spheres() {
 
 /// A round column across a channel, as long as three spacings with a period along it: finite elements of the plane flow,
 /// data/reference/bodies (circle): flow rate 0.25039, drag 0.18711, heat 0.038151 a length.
+/// A ball, a box and a column that turn, in the middle of a periodic channel and where the period begins and ends: the same flow.
+#[test]
+fn a_flow_is_the_same_wherever_its_period_begins() {
+    let text = |shape: &str, [x, y]: [f64; 2]| {
+        let shape = match shape {
+            "disc" => format!("centre = [{x}, {y}, 0.35]\nradius = 0.12\n"),
+            "box" => format!("lower = [{}, {}, 0.2]\nupper = [{}, {}, 0.4]\n", x - 0.1, y - 0.1, x + 0.1, y + 0.1),
+            _ => format!("centre = [{x}, {y}]\nradii = [0.13, 0.11, 0.13, 0.12]\n"),
+        } + &format!(
+            "kind = \"{shape}\"\nvelocity = [\"0.3*({y} - y)\", \"0.3*(x - {x})\", 0.0]\ntemperature = 1.0\n"
+        );
+        format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\nregion.size = [0.8, 0.6, 0.6]\nregion.periodic = [true, true, false]\n\
+             region.acceleration = [0.5, 0.0, 0.0]\nregion.sides.front = {{ kind = \"wall\", temperature = 0.0 }}\n\
+             region.sides.back = {{ kind = \"wall\", temperature = 0.0 }}\ninitial.temperature = 0.0\nresolution.dx = 0.05\n\
+             fluid.viscosity = 0.05\nfluid.conductivity = 0.05\nobjective.kind = \"drag\"\n[[shapes]]\n{shape}"
+        )
+    };
+    for shape in ["disc", "box", "spline"] {
+        let figures = |place: [f64; 2]| {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("scene.toml");
+            std::fs::write(&file, text(shape, place)).unwrap();
+            let config =
+                Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config;
+            let mut around = AroundBodies::new(&config).unwrap();
+            let numbers = around.flow.cloud.numbers();
+            let solution = around.flow.solve(&numbers).unwrap();
+            let all = [
+                Figure::FlowRate,
+                Figure::Force { shape: 0, along: 0 },
+                Figure::Torque { shape: 0 },
+                Figure::Heat { shape: 0 },
+            ];
+            all.map(|figure| around.flow.measures.value(figure, &around.flow.at(&solution)))
+        };
+        let middle = figures([0.4, 0.3]);
+        println!("{shape}: {middle:?}");
+        for place in [[0.0, 0.3], [0.8, 0.3], [0.4, 0.6]] {
+            for (found, wanted) in figures(place).iter().zip(&middle) {
+                // Points of a box or a column are spread from its corner, which rounding moves to another cell.
+                assert!(
+                    (found - wanted).abs() < 2e-3 * wanted.abs().max(0.01),
+                    "{shape} at {place:?}: {found}, {wanted} in the middle"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn a_column_has_the_flow_drag_and_heat_of_the_plane() {
     let (dx, depth) = (0.025, 0.1);

@@ -140,6 +140,8 @@ fn a_search_in_vain_is_told() {
     assert!(found.len() == 1 && found[0].problem.contains("in 2 epochs nothing"), "{found:?}");
     let found = search(vec![epoch(-0.0234, 0.016), epoch(-0.0237, 1e6)], 1);
     assert!(found.len() == 1 && found[0].problem.contains("gradient of epoch 2"), "{found:?}");
+    let found = search(vec![epoch(0.0234, 0.016), epoch(0.0231, 0.014)], 1);
+    assert!(found.len() == 1 && found[0].code == "negative-objective", "{found:?}");
 }
 
 #[test]

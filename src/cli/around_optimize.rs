@@ -21,7 +21,7 @@ use crate::scene::around_shapes::AroundShapes;
 use crate::scene::field_map::FieldMap;
 use crate::scene::load::Loaded;
 use crate::scene::particle_fields::ParticleFields;
-use crate::scene::record::Record;
+use crate::scene::record::{relative_change, Record};
 use crate::scene::shape_search::{Epoch, Found, Search, HELD};
 use crate::scene::verification::{wall_settings, Verification};
 use crate::scene::warnings::Warning;
@@ -150,7 +150,7 @@ pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> 
     println!(
         "{name} is to become {}: {:+.2} % in {} epochs and {seconds:.1} s; {}",
         goal(config),
-        100.0 * (last / first - 1.0),
+        100.0 * relative_change(first, last),
         history.len(),
         if found.converged { "nothing better is near" } else { "there may be better (--epochs)" }
     );

@@ -19,7 +19,7 @@ use crate::report::plots::compare;
 use crate::report::progress::{Progress, Tasks};
 use crate::report::table::Table;
 use crate::scene::load::Loaded;
-use crate::scene::record::Record;
+use crate::scene::record::{relative_change, Record};
 use crate::sph::Sweeps;
 use crate::surrogate::design::SurrogateProblem;
 use serde_json::json;
@@ -51,14 +51,14 @@ impl Way {
         self.course.last().map_or(f64::NAN, |point| point.1)
     }
     fn gain(&self) -> f64 {
-        self.best() / self.first - 1.0
+        relative_change(self.first, self.best())
     }
     fn steps(&self) -> f64 {
         self.course.last().map_or(0.0, |point| point.0)
     }
     /// Number of solver steps until this gain is confirmed.
     fn steps_to(&self, gain: f64) -> Option<f64> {
-        self.course.iter().find(|(_, q)| q / self.first - 1.0 >= gain).map(|(steps, _)| *steps)
+        self.course.iter().find(|(_, q)| relative_change(self.first, *q) >= gain).map(|(steps, _)| *steps)
     }
 }
 
@@ -271,7 +271,8 @@ fn report(
             "seconds": seconds, "peak_bytes": bytes });
         all.put(&format!("compared: {name}"), row);
     }
-    let curve = |way: &Way| way.course.iter().map(|(steps, q)| (*steps, 100.0 * (q / way.first - 1.0))).collect();
+    let curve =
+        |way: &Way| way.course.iter().map(|(steps, q)| (*steps, 100.0 * relative_change(way.first, *q))).collect();
     let curves: Vec<(String, Vec<(f64, f64)>)> = ways.iter().map(|way| (way.name.to_string(), curve(way))).collect();
     let title = "Gain by the work of the solver";
     let label = format!("gain of {symbol} that the solver confirms (%)");

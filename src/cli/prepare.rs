@@ -10,6 +10,7 @@ use crate::numerics::lanes::Real;
 use crate::numerics::ranks::Ranks;
 use crate::numerics::threads::{self, available, cores, in_words};
 use crate::scene::load::Loaded;
+use crate::scene::record::relative_change;
 pub use crate::scene::{build_design as build, require_design};
 use crate::sph::divergence;
 use crate::sph::solver::Snapshot;
@@ -112,5 +113,5 @@ pub fn diverged<'a, R: Real>(
 
 /// A change in the form `a -> b (+1.2 %)`.
 pub fn change(before: f64, after: f64) -> String {
-    format!("{before:.6} -> {after:.6} ({:+.2} %)", 100.0 * (after / before - 1.0))
+    format!("{before:.6} -> {after:.6} ({:+.2} %)", 100.0 * relative_change(before, after))
 }

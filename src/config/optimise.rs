@@ -142,13 +142,14 @@ pub enum ObjectiveKind {
     Drag,
     Lift,
     LiftOverDrag,
-    /// Torque of the fluid on shapes about their centres, around z.
+    /// Torque of the fluid on shapes about their centres (centroids of those that have no `centre`), around z.
     Torque,
     /// Heat that leaves shapes.
     ShapeHeat,
     PressureDrop,
     Dissipation,
-    /// Probes: pressure, temperature and velocity at a point.
+    /// Probes: pressure, temperature and velocity at a point. Where no side has an outflow the pressure is that less its mean over the
+    /// section that is farthest from shapes.
     Pressure,
     Temperature,
     VelocityX,

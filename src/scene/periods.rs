@@ -64,6 +64,8 @@ pub struct TooFew(pub usize);
 impl Window {
     /// From a time on to the last, by trapezes; the last moment if rounding has put it before that.
     pub fn since(times: &[f64], from: f64) -> Self {
+        // Times are sums of steps: whether a moment at the beginning counts must not hang on their rounding.
+        let from = from - 1e-9 * times.last().copied().unwrap_or(from).abs();
         let first = times.iter().position(|&time| time >= from).unwrap_or(times.len().saturating_sub(1));
         let mut weights = vec![0.0; times.len()];
         for k in first + 1..times.len() {

@@ -279,10 +279,15 @@ pub struct Search {
 }
 
 impl Search {
-    /// Best over first, minus one.
+    /// The relative change from the first to the best design.
     pub fn gain(&self) -> f64 {
-        self.best / self.first - 1.0
+        relative_change(self.first, self.best)
     }
+}
+
+/// By how much a figure has grown, relative to its size: one that was negative and is nearer to zero has grown too.
+pub fn relative_change(from: f64, to: f64) -> f64 {
+    (to - from) / from.abs()
 }
 
 /// A divergence from which a run recovered.

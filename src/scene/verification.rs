@@ -519,8 +519,7 @@ fn figures(pair: &Pair, progress: &mut dyn FnMut(f64)) -> anyhow::Result<(f64, f
         }
     };
     let (reference, best) = (half(&pair[0], 0.0)?, half(&pair[1], 0.5)?);
-    let is_positive = reference > 0.0 || (pair[0].config.is_around_shapes() && reference != 0.0);
-    if !(is_positive && reference.is_finite() && best.is_finite()) {
+    if !(reference != 0.0 && reference.is_finite() && best.is_finite()) {
         anyhow::bail!("the figures are {reference} and {best}: there is no gain over these");
     }
     Ok((reference, best))

@@ -208,7 +208,7 @@ fn crowded(end: &ParticleFields, dx: f64) -> f64 {
     fluid.iter().filter(|&&i| has_near(i)).count() as f64 / fluid.len().max(1) as f64
 }
 
-/// The warnings of a search with limits `width` apart: no improvement, and a gradient that has exploded.
+/// The warnings of a search with limits `width` apart: no improvement, an objective below zero, and a gradient that has exploded.
 pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
     let mut all = Vec::new();
     let history = &found.history;
@@ -218,6 +218,14 @@ pub fn of_search(found: &Optimisation, width: f64) -> Vec<Warning> {
             [0.0, 0.0],
             format!("in {} epochs nothing was found that is better than the first design", history.len()),
             "another start, or a smaller optimise.learning_rate",
+        ));
+    }
+    if let Some(first) = history.first().map(Epoch::shown).filter(|first| *first < 0.0) {
+        all.push(Warning::new(
+            "negative-objective",
+            [first, 0.0],
+            format!("the objective of the first design is {first:.4}: larger is nearer to zero, for heat a wall that takes less from the fluid"),
+            "to take more heat, a wall as much warmer than the inlet as it is colder now (wall.hot_temperature): what is best there takes most here",
         ));
     }
     let exploded = |epoch: &Epoch| epoch.gradient_norm * width > EXPLODED * epoch.loss.abs();

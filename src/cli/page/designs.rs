@@ -12,7 +12,7 @@ use crate::design::shape::Shape;
 use crate::io::tensor_file::TensorFile;
 use crate::report::page::{short, Cell, Chart, Fact, Page, Series, Side, Table, Text, Walls};
 use crate::report::text::counted;
-use crate::scene::record::{Record, Search, FIGURES};
+use crate::scene::record::{relative_change, Record, Search, FIGURES};
 use crate::scene::Scene;
 
 pub fn optimize(folder: &Folder) -> anyhow::Result<Page> {
@@ -100,7 +100,7 @@ fn around_shapes(folder: &Folder, config: &Config, summary: &Record, mut page: P
         "The objective, {name}, went from {} to {} ({:+.2}\u{a0}%) in {}.",
         figure(first),
         figure(best),
-        100.0 * (best / first - 1.0),
+        100.0 * relative_change(first, best),
         counted(epochs, "epoch")
     );
     page.remark = number("gain_survives")

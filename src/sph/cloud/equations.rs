@@ -15,6 +15,7 @@
 
 use super::fit::{Coefficients, COEFFICIENTS, LEFT};
 use super::fits::Fits;
+use super::outline::Dual;
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::sync::Arc;
@@ -420,8 +421,8 @@ pub struct Bar<const D: usize = 2, const F: usize = 4, const C: usize = COEFFICI
     pub viscosity: f64,
     /// Of the volume of the fluid, in space.
     pub volume: f64,
-    /// Of numbers of shapes themselves: shape, number, cotangent.
-    pub numbers: Vec<(usize, usize, f64)>,
+    /// Of the x and y of shapes' centres, with the shape.
+    pub centres: Vec<(usize, [f64; 2])>,
 }
 
 impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
@@ -434,8 +435,30 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
             drive: 0.0,
             viscosity: 0.0,
             volume: 0.0,
-            numbers: vec![],
+            centres: vec![],
         }
+    }
+
+    /// Adds to the cotangent of a shape's centre.
+    pub fn add_centre(&mut self, shape: usize, centre: [f64; 2]) {
+        match self.centres.iter_mut().find(|(of, _)| *of == shape) {
+            Some((_, to)) => (0..2).for_each(|d| to[d] += centre[d]),
+            None => self.centres.push((shape, centre)),
+        }
+    }
+
+    /// Adds those of the centres of another one.
+    pub fn add_centres(&mut self, other: &Self) {
+        other.centres.iter().for_each(|&(shape, centre)| self.add_centre(shape, centre));
+    }
+
+    /// What a shape's centre adds to the derivative by a number, given the centre with its derivative.
+    pub fn by_centre(&self, shape: usize, centre: impl FnOnce() -> [Dual; 2]) -> f64 {
+        let own = self.centres.iter().find(|(of, _)| *of == shape);
+        own.map_or(0.0, |(_, bar)| {
+            let [x, y] = centre();
+            bar[0] * x.slope + bar[1] * y.slope
+        })
     }
 
     /// Adds those of the points of the boundary of another one.
@@ -456,7 +479,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
         self.boundary.fill(BoundaryBar::default());
         self.position.iter_mut().chain(&mut self.fields).for_each(|field| field.fill(0.0));
         (self.drive, self.viscosity, self.volume) = (0.0, 0.0, 0.0);
-        self.numbers.clear();
+        self.centres.clear();
     }
 }
 

@@ -18,7 +18,6 @@ use super::interpolation::Sample;
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
 use super::wall_fit::WallFit;
-use crate::config::custom::Part;
 
 /// A figure that is a smooth function of state and shape.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,10 +66,6 @@ pub struct Measures {
     rest: Vec<usize>,
     /// Share of each shape in what balance and surface differ by; 0 of those that are no bodies.
     share: Vec<f64>,
-    /// Centre of each shape in the reference cloud.
-    pub centre: Vec<[f64; 2]>,
-    /// Which of its numbers are its centre.
-    centre_numbers: Vec<[Option<usize>; 2]>,
     inside: usize,
     /// Area of the box that no boundary point accounts for.
     base_area: f64,
@@ -127,16 +122,6 @@ impl Measures {
         let balances = settings.balances && rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
         let share =
             (0..shapes).map(|k| if balances && places.bodies.contains(&k) { length(k) / total } else { 0.0 }).collect();
-        let (centre, centre_numbers) = (0..shapes)
-            .map(|k| {
-                let outline = &cloud.ground.outlines[k];
-                let polygon = &places.polygons[k];
-                let middle = |d: usize| polygon.iter().map(|p| p[d]).sum::<f64>() / polygon.len() as f64;
-                let number = |d: usize| outline.parts.iter().position(|part| *part == Part::Centre(d));
-                let numbers = [number(0), number(1)];
-                (std::array::from_fn(|d| numbers[d].map_or_else(|| middle(d), |n| outline.numbers[n])), numbers)
-            })
-            .unzip();
         let [low, high] = places.corners;
         // In the middle between lattice columns nothing is exact; a column is as good as any place in between.
         let cells = cloud.ground.cells(&places.corners)[0];
@@ -175,21 +160,7 @@ impl Measures {
         let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
         let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
         let wall_fits = cloud.wall_fits.clone();
-        Self {
-            section,
-            target,
-            probes,
-            wall_fits,
-            points,
-            rest,
-            share,
-            centre,
-            centre_numbers,
-            inside,
-            base_area,
-            size,
-            periodic_x,
-        }
+        Self { section, target, probes, wall_fits, points, rest, share, inside, base_area, size, periodic_x }
     }
 
     /// The particles at which derivatives are read, besides those on the boundary.
@@ -205,6 +176,15 @@ impl Measures {
 
     fn sampled(sample: &Sample, at: &At<'_>, field: usize) -> f64 {
         sample.value(&at.shaped.position, &at.state.fields[field], &at.d.0[field])
+    }
+
+    /// The places, with their shares, whose mean is the zero of a field: of the pressure where no side gives one, which is then known but
+    /// for a constant. They are those of the section that is as far from bodies as possible; empty for all other fields.
+    fn level(&self, field: usize, at: &At<'_>) -> impl Iterator<Item = (&Sample, f64)> {
+        let is_free = field == 2 && !at.equations.gives_pressure();
+        let places: &[(Sample, f64)] = if is_free { &self.section } else { &[] };
+        let total: f64 = places.iter().map(|(_, length)| length).sum();
+        places.iter().map(move |(sample, length)| (sample, length / total))
     }
 
     /// Adds the cotangents of a field at a sample, given its own.
@@ -372,13 +352,15 @@ impl Measures {
             }
             Figure::Torque { shape } => {
                 let of = |&k: &usize| {
-                    let p = at.place(self.inside + k);
-                    let c = self.centre_at(at, shape);
+                    let (p, c) = (at.place(self.inside + k), at.shaped.centre[shape]);
                     (p[0] - c[0]) * self.push(at, k, 1) - (p[1] - c[1]) * self.push(at, k, 0)
                 };
                 self.points[shape].iter().map(of).sum()
             }
-            Figure::Probe { field, probe } => Self::sampled(&self.probes[probe], at, field),
+            Figure::Probe { field, probe } => {
+                let level = self.level(field, at).map(|(sample, share)| share * Self::sampled(sample, at, field));
+                Self::sampled(&self.probes[probe], at, field) - level.sum::<f64>()
+            }
             Figure::PressureDrop => {
                 if self.periodic_x {
                     return Self::body_force(at, 0) * self.size[0];
@@ -412,12 +394,6 @@ impl Measures {
             }
             Motion::Symmetry(_) => None,
         }
-    }
-
-    /// The centre of a shape as it is now.
-    fn centre_at(&self, at: &At<'_>, shape: usize) -> [f64; 2] {
-        let number = |d: usize| self.centre_numbers[shape][d].map(|n| at.shaped.numbers[shape][n]);
-        std::array::from_fn(|d| number(d).unwrap_or(self.centre[shape][d]))
     }
 
     /// Power that the fluid gives away at a point of the boundary, with half of the carried kinetic energy given back.
@@ -471,19 +447,22 @@ impl Measures {
             }
             Figure::Torque { shape } => {
                 for &k in &self.points[shape] {
-                    let (i, c) = (self.inside + k, self.centre_at(at, shape));
+                    let (i, c) = (self.inside + k, at.shaped.centre[shape]);
                     let p = at.place(i);
                     let (x, y) = (self.push(at, k, 0), self.push(at, k, 1));
                     self.push_back(at, k, 1, weight * (p[0] - c[0]), bar);
                     self.push_back(at, k, 0, -weight * (p[1] - c[1]), bar);
                     bar.position[0][i] += weight * y;
                     bar.position[1][i] -= weight * x;
-                    let [cx, cy] = self.centre_numbers[shape];
-                    bar.numbers.extend(cx.map(|n| (shape, n, -weight * y)));
-                    bar.numbers.extend(cy.map(|n| (shape, n, weight * x)));
+                    bar.add_centre(shape, [-weight * y, weight * x]);
                 }
             }
-            Figure::Probe { field, probe } => Self::sampled_back(&self.probes[probe], at, field, weight, bar),
+            Figure::Probe { field, probe } => {
+                Self::sampled_back(&self.probes[probe], at, field, weight, bar);
+                for (sample, share) in self.level(field, at) {
+                    Self::sampled_back(sample, at, field, -weight * share, bar);
+                }
+            }
             Figure::PressureDrop => {
                 if self.periodic_x {
                     bar.drive += weight * self.size[0];

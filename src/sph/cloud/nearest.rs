@@ -69,11 +69,17 @@ impl<const D: usize> Cells<D> {
         self.counts.iter().product()
     }
 
-    /// Column and row of the cell of a place; of the nearest one outside of the box.
+    /// Column and row of the cell of a place. Outside of the box it is that of the place's periodic image or, along directions that are
+    /// not periodic, the nearest one.
     pub fn index(&self, p: [f64; D]) -> [i64; D] {
         std::array::from_fn(|d| {
-            let k = (p[d] / self.plane.size[d] * self.counts[d] as f64).floor() as i64;
-            k.clamp(0, self.counts[d] as i64 - 1)
+            let (k, count) =
+                ((p[d] / self.plane.size[d] * self.counts[d] as f64).floor() as i64, self.counts[d] as i64);
+            if self.plane.periodic[d] {
+                k.rem_euclid(count)
+            } else {
+                k.clamp(0, count - 1)
+            }
         })
     }
 
@@ -118,7 +124,7 @@ pub struct Nearest<const D: usize = 2> {
 }
 
 impl<const D: usize> Nearest<D> {
-    /// Sorts places, which are within the box or just outside of sides that are not periodic, into cells of a width.
+    /// Sorts places, of which some may be just outside of the box, into cells of a width.
     pub fn new(plane: Region<D>, width: f64, places: &[[f64; D]]) -> Self {
         let cells = Cells::new(plane, width);
         let own: Vec<usize> = places.iter().map(|p| cells.of(*p)).collect();

@@ -343,6 +343,19 @@ impl Outline {
         (0..count).map(|k| k as f64 / count as f64).collect()
     }
 
+    /// The shape's centre: that which is among its numbers, or else the centroid of the area within the outline, drawn with a few straight
+    /// lines for each piece.
+    pub fn centre<S: Scalar>(&self, s: &[S]) -> [S; 2] {
+        let number = |d: usize| self.parts.iter().position(|part| *part == Part::Centre(d));
+        match (number(0), number(1)) {
+            (Some(x), Some(y)) => [s[x], s[y]],
+            _ => {
+                let points = self.points(&self.samples(8), s);
+                centroid_within(points.len(), |k| points[k].place)
+            }
+        }
+    }
+
     /// Points at parameters, for numbers of the shape.
     pub fn points<S: Scalar>(&self, parameters: &[f64], s: &[S]) -> Vec<OnOutline<S>> {
         let s = &s[..self.geometry];
@@ -454,10 +467,13 @@ impl Outline {
 
     /// The points with their derivatives by number `which` of the shape.
     pub fn slopes(&self, parameters: &[f64], s: &[f64], which: usize) -> Vec<OnOutline<Dual>> {
-        let seed = |(k, &x): (usize, &f64)| Dual::new(x, if k == which { 1.0 } else { 0.0 });
-        let numbers: Vec<Dual> = s.iter().enumerate().map(seed).collect();
-        self.points(parameters, &numbers)
+        self.points(parameters, &seeded(s, Some(which)))
     }
+}
+
+/// Numbers, of which one may be what derivatives are by.
+pub fn seeded(s: &[f64], which: Option<usize>) -> Vec<Dual> {
+    s.iter().enumerate().map(|(k, &x)| Dual::new(x, if Some(k) == which { 1.0 } else { 0.0 })).collect()
 }
 
 /// Whether a point is inside a closed line: a ray from it crosses the line an odd number of times.
@@ -485,6 +501,21 @@ pub fn area_within<S: Scalar>(corners: usize, corner: impl Fn(usize) -> [S; 2]) 
         a[0] * b[1] - a[1] * b[0]
     };
     S::of(0.5) * (0..corners).map(cross).fold(S::of(0.0), |sum, part| sum + part)
+}
+
+/// The centroid of the area within a polygon, given its corners.
+pub fn centroid_within<S: Scalar>(corners: usize, corner: impl Fn(usize) -> [S; 2]) -> [S; 2] {
+    // Seen from the first corner, which keeps digits.
+    let first = corner(0);
+    let mut moment = [S::of(0.0); 2];
+    let mut twice_area = S::of(0.0);
+    for k in 1..corners - 1 {
+        let (a, b) = (difference(corner(k), first), difference(corner(k + 1), first));
+        let cross = a[0] * b[1] - a[1] * b[0];
+        twice_area = twice_area + cross;
+        moment = sum(moment, scaled(cross, sum(a, b)));
+    }
+    sum(first, scaled(S::of(1.0 / 3.0) / twice_area, moment))
 }
 
 /// The second derivatives at n equal knots of a periodic cubic spline, by the values there, `[n, n]`:

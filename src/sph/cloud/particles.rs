@@ -6,6 +6,7 @@ use super::equations::{damping, Bar, BoundaryBar, Condition, Equations, Motion, 
 use super::fit::{Coefficients, Stencils};
 use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
+use super::outline::seeded;
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
 use super::wall_fit::{self, WallFit};
 use crate::sph::laws::buoyancy::Buoyancy;
@@ -69,6 +70,8 @@ pub struct Cloud {
 pub struct Shaped {
     /// The numbers of every shape.
     pub numbers: Vec<Vec<f64>>,
+    /// The centre of every shape.
+    pub centre: Vec<[f64; 2]>,
     /// `[2][N]`.
     pub position: [Vec<f64>; 2],
     /// Normal into the fluid times length, of each point of the boundary.
@@ -310,7 +313,8 @@ impl Cloud {
         }
         let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
         let operators = self.fits.coefficients(&position);
-        Ok(Shaped { numbers: numbers.to_vec(), position, area, conditions, operators })
+        let centre = self.ground.outlines.iter().zip(numbers).map(|(outline, s)| outline.centre(s)).collect();
+        Ok(Shaped { numbers: numbers.to_vec(), centre, position, area, conditions, operators })
     }
 
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that
@@ -334,9 +338,9 @@ impl Cloud {
                 return time.map_or(0.0, of);
             }
             let (points, parameters) = &on_shapes[shape];
-            let slopes = self.ground.outlines[shape].slopes(parameters, &shaped.numbers[shape], number);
-            let own = bar.numbers.iter().filter(|(s, n, _)| (*s, *n) == (shape, number));
-            let mut sum: f64 = own.map(|(.., bar)| bar).sum();
+            let (outline, numbers) = (&self.ground.outlines[shape], seeded(&shaped.numbers[shape], Some(number)));
+            let slopes = outline.points(parameters, &numbers);
+            let mut sum = bar.by_centre(shape, || outline.centre(&numbers));
             for (&k, slope) in points.iter().zip(&slopes) {
                 let BoundaryBar { normal, area, .. } = bar.boundary[k];
                 let weight = self.places.boundary[k].weight;

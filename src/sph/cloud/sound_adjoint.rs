@@ -382,7 +382,7 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         }
         found.all.bar.volume += found.bar.volume;
         found.all.bar.viscosity += found.bar.viscosity;
-        found.all.bar.numbers.extend(&found.bar.numbers);
+        found.all.bar.add_centres(&found.bar);
         let time = self.first.0 + self.sizes[..=k].iter().sum::<f64>();
         flow.gather(self.boundary, time, found);
     }

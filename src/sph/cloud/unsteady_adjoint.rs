@@ -63,7 +63,7 @@ impl<const D: usize, const F: usize, const C: usize> Cotangents<D, F, C> {
         self.bar.add_walls(&other.bar);
         self.bar.viscosity += other.bar.viscosity;
         self.bar.volume += other.bar.volume;
-        self.bar.numbers.extend(other.bar.numbers);
+        self.bar.add_centres(&other.bar);
         for (to, from) in self.position.iter_mut().zip(other.position) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
         }
@@ -256,6 +256,6 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         found.bar.add_walls(bar);
         found.bar.volume += bar.volume;
         found.bar.viscosity += bar.viscosity;
-        found.bar.numbers.extend(&bar.numbers);
+        found.bar.add_centres(bar);
     }
 }

@@ -11,8 +11,6 @@ use super::super::nearest::Nearest;
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
-use super::surface::Surface;
-use crate::config::custom::Part;
 use crate::numerics::sparse_lu::dot as product;
 use crate::sph::consistent::stencil::{monomials, quadratic};
 
@@ -38,9 +36,6 @@ pub struct Measures {
     rest: Vec<(usize, [f64; 3])>,
     /// Share of each shape in what balance and surface differ by; 0 where there is no balance.
     share: Vec<f64>,
-    /// Of each shape the numbers that are the x and y of its centre, and the middle of its points where there are none.
-    centre_numbers: Vec<[Option<usize>; 2]>,
-    centre: Vec<[f64; 3]>,
     inside: usize,
     size: [f64; 3],
     periodic_x: bool,
@@ -130,10 +125,7 @@ impl Measures {
             .map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 }))
             .collect();
         let (inside, size, periodic_x) = (places.inside, region.size, region.periodic[0]);
-        let number = |surface: &Surface, d: usize| surface.parts.iter().position(|part| *part == Part::Centre(d));
-        let centre_numbers = cloud.ground.surfaces.iter().map(|surface| [0, 1].map(|d| number(surface, d))).collect();
-        let centre = cloud.centre.clone();
-        Self { section, target, probes, points, rest, share, centre_numbers, centre, inside, size, periodic_x }
+        Self { section, target, probes, points, rest, share, inside, size, periodic_x }
     }
 
     /// Particles at which figures need derivatives, beside those of the boundary.
@@ -155,6 +147,14 @@ impl Measures {
     fn sampled(sample: &Sample, at: &At<'_>, field: usize) -> f64 {
         let (_, q) = Self::monomials(sample, &at.shaped.position);
         at.state.fields[field][sample.particle] + product(&q, &at.d.0[field][sample.particle][..Q])
+    }
+
+    /// The places, with their shares, whose mean is the zero of a field, as in the plane.
+    fn level(&self, field: usize, at: &At<'_>) -> impl Iterator<Item = (&Sample, f64)> {
+        let is_free = field == PRESSURE && !at.equations.gives_pressure();
+        let places: &[Sample] = if is_free { &self.section } else { &[] };
+        let total: f64 = places.iter().map(|sample| sample.weight).sum();
+        places.iter().map(move |sample| (sample, sample.weight / total))
     }
 
     fn sampled_back(sample: &Sample, at: &At<'_>, field: usize, weight: f64, bar: &mut Bar) {
@@ -227,10 +227,7 @@ impl Measures {
 
     /// Where a point of a shape is from the line along z through the shape's centre.
     fn arm(&self, at: &At<'_>, shape: usize, k: usize) -> [f64; 2] {
-        std::array::from_fn(|d| {
-            let number = self.centre_numbers[shape][d].map(|n| at.shaped.numbers[shape][n]);
-            at.shaped.position[d][self.inside + k] - number.unwrap_or(self.centre[shape][d])
-        })
+        std::array::from_fn(|d| at.shaped.position[d][self.inside + k] - at.shaped.centre[shape][d])
     }
 
     /// The torque at a point of a shape around that line.
@@ -320,7 +317,10 @@ impl Measures {
                 let all: f64 = shapes.map(|body| self.surface_heat(at, body)).sum();
                 own + self.share[shape] * (self.balanced_heat(at) - all)
             }
-            Figure::Probe { field, probe } => Self::sampled(&self.probes[probe], at, field),
+            Figure::Probe { field, probe } => {
+                let level = self.level(field, at).map(|(sample, share)| share * Self::sampled(sample, at, field));
+                Self::sampled(&self.probes[probe], at, field) - level.sum::<f64>()
+            }
             Figure::PressureDrop if self.periodic_x => at.equations.push(at.state, 0) * self.length(),
             Figure::PressureDrop => {
                 self.ends(at).iter().map(|(k, weight)| weight * at.state.fields[PRESSURE][self.inside + k]).sum()
@@ -383,7 +383,12 @@ impl Measures {
                     self.warmth_back(at, k, area, -share, bar);
                 }
             }
-            Figure::Probe { field, probe } => Self::sampled_back(&self.probes[probe], at, field, weight, bar),
+            Figure::Probe { field, probe } => {
+                Self::sampled_back(&self.probes[probe], at, field, weight, bar);
+                for (sample, share) in self.level(field, at) {
+                    Self::sampled_back(sample, at, field, -weight * share, bar);
+                }
+            }
             Figure::PressureDrop if self.periodic_x => bar.drive += weight * self.length(),
             Figure::PressureDrop => {
                 for (k, share) in self.ends(at) {
@@ -401,9 +406,7 @@ impl Measures {
                     }
                     bar.position[0][i] += weight * push[1];
                     bar.position[1][i] -= weight * push[0];
-                    let [of_x, of_y] = self.centre_numbers[shape];
-                    bar.numbers.extend(of_x.map(|n| (shape, n, -weight * push[1])));
-                    bar.numbers.extend(of_y.map(|n| (shape, n, weight * push[0])));
+                    bar.add_centre(shape, [-weight * push[1], weight * push[0]]);
                 }
             }
             Figure::Dissipation => bar.drive = f64::NAN,

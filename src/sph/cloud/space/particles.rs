@@ -8,7 +8,7 @@ use super::super::equations::{damping, Warmth};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::fits::Fits;
 use super::super::nearest::{Nearest, Region};
-use super::super::outline::Dual;
+use super::super::outline::{seeded, Dual};
 use super::super::particles::{Fluid, Unusable};
 use super::equations::{Bar, Condition, Equations, Motion};
 use super::fits::{fits, Where};
@@ -53,6 +53,8 @@ pub struct Cloud {
 #[derive(Debug, Clone)]
 pub struct Shaped {
     pub numbers: Vec<Vec<f64>>,
+    /// The x and y of every shape's centre.
+    pub centre: Vec<[f64; 2]>,
     /// `[3][N]`.
     pub position: [Vec<f64>; 3],
     /// Normal into the fluid times area, of each point of the boundary on a shape; zero on sides, which have tiles.
@@ -174,14 +176,15 @@ impl Cloud {
         }
         let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
         let operators = self.fits.coefficients(&position);
-        Ok(Shaped { numbers: numbers.to_vec(), position, area, volume, conditions, operators })
+        let region = &self.ground.region;
+        let centre = self.ground.surfaces.iter().zip(numbers).map(|(surface, s)| surface.centre(region, s)).collect();
+        Ok(Shaped { numbers: numbers.to_vec(), centre, position, area, volume, conditions, operators })
     }
 
     /// The volume of a shape, with its derivative by one of its numbers.
     pub fn volume_of(&self, shape: usize, numbers: &[f64], by: Option<usize>) -> Dual {
         let surface = &self.ground.surfaces[shape];
-        let numbers: Vec<Dual> =
-            numbers.iter().enumerate().map(|(n, &x)| Dual::new(x, if Some(n) == by { 1.0 } else { 0.0 })).collect();
+        let numbers = seeded(numbers, by);
         let own = self.places.boundary.iter().filter_map(|point| point.on.filter(|on| on.0 == shape));
         let of =
             |(_, spot): (usize, super::surface::Spot)| surface.volume(&surface.at(&spot, &numbers), self.centre[shape]);
@@ -215,11 +218,8 @@ impl Cloud {
                 return time.map_or(0.0, of);
             }
             let surface = &self.ground.surfaces[shape];
-            let numbers: Vec<Dual> = (0..shaped.numbers[shape].len())
-                .map(|n| Dual { value: shaped.numbers[shape][n], slope: if n == number { 1.0 } else { 0.0 } })
-                .collect();
-            let own = bar.numbers.iter().filter(|(s, n, _)| (*s, *n) == (shape, number));
-            let mut sum: f64 = own.map(|(.., bar)| bar).sum();
+            let numbers = seeded(&shaped.numbers[shape], Some(number));
+            let mut sum = bar.by_centre(shape, || surface.centre(&self.ground.region, &numbers));
             for (k, point) in self.places.boundary.iter().enumerate() {
                 let Some((_, spot)) = point.on.filter(|on| on.0 == shape) else { continue };
                 let on = surface.at(&spot, &numbers);

@@ -119,9 +119,9 @@ impl Ground {
                 let length = on.area.iter().map(|x| x * x).sum::<f64>().sqrt();
                 let normal = on.area.map(|x| x / length);
                 boundary.push(BoundaryPoint { on: Some((shape, spot)), sides: vec![], normal });
-                let place = region.wrapped(on.place);
-                cells.add(place);
-                walls.push((place, h0));
+                // A surface stays whole where a period cuts it: arms of torques and formulas of x, y, z need its own places.
+                cells.add(on.place);
+                walls.push((on.place, h0));
             }
             if width < 2.0 * h0 {
                 return Err(Unplaceable::Narrow { shape, width });

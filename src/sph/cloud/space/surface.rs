@@ -206,6 +206,22 @@ impl Surface {
         }
     }
 
+    /// The x and y of the shape's centre, for numbers of the shape: those among them, the middle of a box, or the centroid of a column's
+    /// section (along its axis the middle of the region).
+    pub fn centre<S: Scalar>(&self, region: &Region<3>, s: &[S]) -> [S; 2] {
+        match &self.form {
+            Form::Ball | Form::Facets(_) => [s[0], s[1]],
+            Form::Box => [0, 1].map(|d| S::of(0.5) * (s[d] + s[3 + d])),
+            Form::Column(column) => {
+                let (across, section) = (across(column.axis), column.outline.centre(s));
+                [0, 1].map(|d| match across.iter().position(|&e| e == d) {
+                    Some(e) => section[e],
+                    None => S::of(0.5 * region.size[d]),
+                })
+            }
+        }
+    }
+
     /// A spot for numbers of the shape.
     pub fn at<S: Scalar>(&self, spot: &Spot, s: &[S]) -> OnSurface<S> {
         let zero = S::of(0.0);
