@@ -932,6 +932,29 @@ fn torques_are_about_where_shapes_are() {
     }
 }
 
+/// What flows out at corners, which the surface rounds, is in the heat of a shape with corners, and in that of no other one; also where
+/// the surroundings are coarse.
+#[test]
+fn the_heat_at_corners_belongs_to_shapes_that_have_them() {
+    let heat = |resolution: &str| {
+        let shapes =
+            "[[shapes]]\nkind = \"polygon\"\npoints = [[0.22, 0.13], [0.38, 0.17], [0.26, 0.26]]\ntemperature = 1.0\n\
+            [[shapes]]\nkind = \"disc\"\ncentre = [0.72, 0.2]\nradius = 0.07\ntemperature = 1.0\n";
+        let text = channel(0.02, resolution).replace("0.006", "0.02") + shapes;
+        let mut around = AroundShapes::new(&loaded(&text)).unwrap();
+        let numbers = around.flow.cloud.numbers();
+        let solution = around.flow.solve(&numbers).unwrap();
+        let at = around.flow.at(&solution);
+        [2, 3].map(|shape| {
+            (around.flow.value(&solution, Figure::Heat { shape }), around.flow.measures.surface_heat(&at, shape))
+        })
+    };
+    let [fine, coarse] = ["resolution.surface = 0.0025\n", "resolution.far = 3.0\n"].map(heat);
+    println!("{fine:?}, coarser {coarse:?}");
+    assert!((coarse[0].0 / fine[0].0 - 1.0).abs() < 0.02 && coarse[0].1 / fine[0].0 < 0.95);
+    assert!(coarse[1].0 == coarse[1].1 && (coarse[1].0 / fine[1].0 - 1.0).abs() < 0.02);
+}
+
 /// A polygon has its centroid, whatever its corners' number.
 #[test]
 fn centres_of_shapes_are_centroids() {

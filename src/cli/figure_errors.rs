@@ -192,9 +192,11 @@ fn first_line(text: &str) -> &str {
     text.lines().next().unwrap_or_default()
 }
 
-/// The settings of another spacing, over the same time.
+/// The settings of another spacing, also on surfaces, over the same time.
 pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
-    std::iter::once(Setting::set(&format!("resolution.dx={dx}"))).chain(loaded.same_time()).collect()
+    let surface = loaded.config.surface_spacing_at(dx).map(|surface| format!("resolution.surface={surface}"));
+    let spacings = std::iter::once(format!("resolution.dx={dx}")).chain(surface);
+    spacings.map(|setting| Setting::set(&setting)).chain(loaded.same_time()).collect()
 }
 
 /// The settings of a heated channel with so many rows, whatever its height: where no coarser spacing divides both height and length, the

@@ -11,6 +11,7 @@ use super::flows::columns_of;
 use super::record::Record;
 use crate::config::scene::{Config, Family, Method};
 use crate::numerics::grid_convergence::{at_finest, observed_order, Point};
+use crate::sph::cloud::outline::Outline;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -96,6 +97,9 @@ pub struct FigureError {
 /// as sure.)
 const ORDER_OF_HEAT: f64 = 1.8;
 const ORDER_OF_FLOW: f64 = 3.0;
+/// That of all figures around shapes with corners, which are rounded in proportion to the spacing. (The flow rate past a triangle is 2.2, 1.5
+/// and 0.9 % larger with dx = 1/50, 1/70 and 1/100 than with 1/150 and surfaces six times as fine as that.)
+const ORDER_OF_CORNERS: f64 = 1.0;
 
 /// Whether a figure is about heat.
 fn is_of_heat(config: &Config, figure: &str) -> bool {
@@ -105,11 +109,29 @@ fn is_of_heat(config: &Config, figure: &str) -> bool {
         || is_objective && (config.scene.has_design() || config.initial.temperature.is_some())
 }
 
+/// Whether fluid meets a corner of a shape. A shape that is as long as the box is periodic has none along it.
+fn has_corners(config: &Config) -> bool {
+    let (size, periodic) = (&config.region.size, &config.region.periodic);
+    config.shapes.iter().filter_map(|entry| Outline::new(entry, 0.0)).any(|outline| {
+        let corners = outline.corners();
+        let spans = |d: usize| {
+            let of = |pick: fn(f64, f64) -> f64, from: f64| corners.iter().map(|corner| corner[d]).fold(from, pick);
+            of(f64::max, f64::MIN) - of(f64::min, f64::MAX) >= size[d]
+        };
+        let is_in = |corner: &[f64; 2], d: usize| match periodic[d] {
+            true => !spans(d),
+            false => corner[d] > 0.0 && corner[d] < size[d],
+        };
+        corners.iter().any(|corner| is_in(corner, 0) && is_in(corner, 1))
+    })
+}
+
 /// The order at which a figure of a configuration converges with the spacing.
 pub fn order(config: &Config, figure: &str) -> f64 {
     let facts = config.method.facts();
     match is_of_heat(config, figure) {
         _ if facts.moves || config.dimension() != 2 => facts.order,
+        _ if config.is_around_shapes() && has_corners(config) => ORDER_OF_CORNERS,
         true => ORDER_OF_HEAT,
         false if config.is_around_shapes() => facts.order,
         false => ORDER_OF_FLOW,

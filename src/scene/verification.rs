@@ -361,6 +361,10 @@ impl Verification {
                 let dx = before.finer_spacing();
                 after.resolution.dx = dx;
                 set("resolution.dx", &dx);
+                if let Some(surface) = before.surface_spacing_at(dx) {
+                    after.resolution.surface = Some(surface);
+                    set("resolution.surface", &surface);
+                }
                 // Walls of cells must be as deep as the bound.
                 let rows = (before.design.bound / dx - 1e-9).ceil().max(0.0) as usize;
                 if before.method.facts().wall_cells && rows > before.channel.wall_rows {

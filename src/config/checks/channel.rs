@@ -55,6 +55,11 @@ impl Config {
         self.spacing_up_to(0.8 * dx).unwrap_or(0.5 * dx)
     }
 
+    /// The spacing on the surfaces of bodies that goes with another spacing of all, where one is given: as many times finer as now.
+    pub fn surface_spacing_at(&self, dx: f64) -> Option<f64> {
+        self.resolution.surface.map(|surface| surface * dx / self.resolution.dx)
+    }
+
     /// The lengths that the spacing must divide.
     fn extents(&self) -> Vec<f64> {
         let (channel, tank, water) = (&self.channel, &self.tank, &self.water);

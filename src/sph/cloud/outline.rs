@@ -315,11 +315,9 @@ impl Outline {
         if let Curve::Path { corners, cut } = &mut outline.curve {
             let points = corners.of(&outline.numbers);
             let n = points.len();
-            let edge = |k: usize| difference(points[(k + 1) % n], points[k % n]);
             *cut = (0..n)
                 .map(|k| {
-                    let (a, b) = (edge(k + n - 1), edge(k));
-                    let turn = (a[0] * b[1] - a[1] * b[0]).atan2(a[0] * b[0] + a[1] * b[1]).abs();
+                    let (a, b, turn) = around_corner(&points, k);
                     // No more than a third of an edge is cut off at each end.
                     let least = length(a).min(length(b)) / 3.0;
                     (radius * (0.5 * turn.min(0.9 * PI)).tan()).clamp(1e-3 * least, least)
@@ -341,6 +339,13 @@ impl Outline {
         };
         let count = pieces * each;
         (0..count).map(|k| k as f64 / count as f64).collect()
+    }
+
+    /// Its corners in which it turns by more than 45 degrees: next to them fields have a singularity that the rounding cuts off.
+    pub fn corners(&self) -> Vec<[f64; 2]> {
+        let Curve::Path { corners, .. } = &self.curve else { return vec![] };
+        let points = corners.of(&self.numbers);
+        (0..points.len()).filter(|&k| around_corner(&points, k).2 > 0.25 * PI).map(|k| points[k]).collect()
     }
 
     /// The shape's centre: that which is among its numbers, or else the centroid of the area within the outline, drawn with a few straight
@@ -469,6 +474,14 @@ impl Outline {
     pub fn slopes(&self, parameters: &[f64], s: &[f64], which: usize) -> Vec<OnOutline<Dual>> {
         self.points(parameters, &seeded(s, Some(which)))
     }
+}
+
+/// The edges before and after a corner of a closed line, and by how much it turns there.
+fn around_corner(points: &[[f64; 2]], k: usize) -> ([f64; 2], [f64; 2], f64) {
+    let n = points.len();
+    let edge = |k: usize| difference(points[(k + 1) % n], points[k % n]);
+    let (a, b) = (edge(k + n - 1), edge(k));
+    (a, b, (a[0] * b[1] - a[1] * b[0]).atan2(a[0] * b[0] + a[1] * b[1]).abs())
 }
 
 /// Numbers, of which one may be what derivatives are by.
