@@ -120,8 +120,8 @@ impl Measures {
         };
         // Where the rest is coarser than the surroundings of bodies (`resolution.far`), these know better: by balance the heat of a
         // cylinder in a stream is 2.1 % off with four times the spacing on the sides, by its surface 1.1 %. But a surface rounds corners,
-        // and misses a part of what flows out there: by it the heat of a triangle is 8 % too small. So the heat of shapes with corners is always that of the balance, and they alone
-        // have what it and the surfaces differ by.
+        // and misses a part of what flows out there: by it the heat of a triangle is 8 % too small. So the heat of shapes with corners is
+        // always that of the balance, and they alone have what it and the surfaces differ by.
         let spacing = |&k: &usize| places.spacing[places.boundary[k].particle];
         let is_fine = rest.iter().all(|k| spacing(k) < 1.5 * cloud.ground.dx);
         let share_among = |bodies: &[usize], balances: bool| -> Vec<f64> {
