@@ -24,6 +24,7 @@ use hydrograd::sph::cloud::fit_adjoint::PairCotangents;
 use hydrograd::sph::cloud::interpolation::Interpolation;
 use hydrograd::sph::cloud::nearest::{Nearest, Plane};
 use hydrograd::sph::cloud::outline::{area, centroid_within, Outline};
+use hydrograd::sph::cloud::problem::Solution;
 use std::f64::consts::PI;
 use std::path::Path;
 use std::sync::Arc;
@@ -44,6 +45,14 @@ fn loaded(text: &str) -> Config {
     let file = folder.path().join("scene.toml");
     std::fs::write(&file, text).unwrap();
     Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config
+}
+
+/// The flow of a scene's text.
+fn solved(text: &str) -> (AroundShapes, Solution) {
+    let mut around = AroundShapes::new(&loaded(text)).unwrap();
+    let numbers = around.flow.cloud.numbers();
+    let solution = around.flow.solve(&numbers).unwrap();
+    (around, solution)
 }
 
 /// A body of the reference file as a shape.
@@ -505,9 +514,7 @@ fn heat_flows_out_through_the_section_that_is_asked_for() {
              resolution.dx = 0.05\nobjective.target_x = {target}\n\
              [[shapes]]\nkind = \"disc\"\ncentre = [0.9, 0.3]\nradius = 0.1\ntemperature = 1.0\n"
         );
-        let mut around = AroundShapes::new(&loaded(&text)).unwrap();
-        let numbers = around.flow.cloud.numbers();
-        let solution = around.flow.solve(&numbers).unwrap();
+        let (around, solution) = solved(&text);
         [Figure::HeatOutflow, Figure::Heat { shape: 0 }].map(|figure| around.flow.value(&solution, figure))
     };
     for (target, share) in [(0.4, 0.0), (1.5, 1.0), (5.0, 1.0)] {
@@ -544,9 +551,8 @@ fn derivatives_of_every_figure_are_differences_of_whole_solutions() {
         "objective.terms = [{ kind = \"velocity-x\", at = [0.85, 0.21] }, { kind = \"pressure\", at = [0.5, 0.31] }]\n";
     for (text, shape) in [(SIDES.to_string(), 0), (held, 2), (power, 2)] {
         let text = probes.to_string() + &text;
-        let mut around = AroundShapes::new(&loaded(&text)).unwrap();
+        let (mut around, solution) = solved(&text);
         let numbers = around.flow.cloud.numbers();
-        let solution = around.flow.solve(&numbers).unwrap();
         let wanted: Vec<(usize, usize)> = (0..numbers[shape].len()).map(|k| (shape, k)).collect();
         let steps: Vec<f64> = wanted.iter().map(|&(_, k)| if k == 4 { 1e-2 } else { 2e-5 }).collect();
         let mut moved = vec![];
@@ -833,9 +839,8 @@ fn the_heated_cavity_has_its_nusselt_number() {
         fluid.reference_velocity = 10.0\ninitial.temperature = 0.0\nresolution.dx = 0.05\nmethod.name = \"fixed\"\n\
         region.sides.left = { kind = \"wall\", temperature = 0.0 }\nregion.sides.top = { kind = \"wall\", temperature = 0.0 }\n\
         objective.kind = \"shape-heat\"\n[[shapes]]\nkind = \"disc\"\ncentre = [0.45, 0.4]\nradius = 0.15\ntemperature = \"1 + x\"\n";
-    let mut around = AroundShapes::new(&loaded(text)).unwrap();
+    let (mut around, solution) = solved(text);
     let numbers = around.flow.cloud.numbers();
-    let solution = around.flow.solve(&numbers).unwrap();
     let wanted: Vec<(usize, usize)> = (0..3).map(|k| (0, k)).collect();
     for figure in [Figure::Heat { shape: 0 }, Figure::Force { shape: 0, along: 1 }, Figure::Torque { shape: 0 }] {
         let exact = around.flow.gradient(&solution, &[(figure, 1.0)], &wanted).unwrap().by_numbers;
@@ -867,9 +872,7 @@ fn a_flow_is_the_same_wherever_its_period_begins() {
             let probe = format!("objective.kind = \"pressure\"\nobjective.at = [{}, 0.3]\n", (x + 0.15) % 1.0);
             let text = channel(0.02, &probe)
                 + &format!("[[shapes]]\nkind = \"{kind}\"\n{}temperature = 1.0\n", shape(kind, x));
-            let mut around = AroundShapes::new(&loaded(&text.replace("0.006", "0.02"))).unwrap();
-            let numbers = around.flow.cloud.numbers();
-            let solution = around.flow.solve(&numbers).unwrap();
+            let (around, solution) = solved(&text.replace("0.006", "0.02"));
             let all = [
                 Figure::FlowRate,
                 Figure::Force { shape: 2, along: 1 },
@@ -908,9 +911,7 @@ fn torques_are_about_where_shapes_are() {
             .map(|figure| around.flow.value(&solution, figure))
     };
     let ([before, drag], [carried, _]) = (values(&first), values(&moved));
-    let mut anew = AroundShapes::new(&loaded(&polygon(up))).unwrap();
-    let numbers = anew.flow.cloud.numbers();
-    let solution = anew.flow.solve(&numbers).unwrap();
+    let (anew, solution) = solved(&polygon(up));
     let placed = anew.flow.value(&solution, Figure::Torque { shape: 2 });
     println!("torque {before}, carried {carried}, anew {placed}; drag {drag}");
     // About a centre that stays behind it would be off by the drag times the way.
@@ -941,9 +942,7 @@ fn the_heat_at_corners_belongs_to_shapes_that_have_them() {
             "[[shapes]]\nkind = \"polygon\"\npoints = [[0.22, 0.13], [0.38, 0.17], [0.26, 0.26]]\ntemperature = 1.0\n\
             [[shapes]]\nkind = \"disc\"\ncentre = [0.72, 0.2]\nradius = 0.07\ntemperature = 1.0\n";
         let text = channel(0.02, resolution).replace("0.006", "0.02") + shapes;
-        let mut around = AroundShapes::new(&loaded(&text)).unwrap();
-        let numbers = around.flow.cloud.numbers();
-        let solution = around.flow.solve(&numbers).unwrap();
+        let (around, solution) = solved(&text);
         let at = around.flow.at(&solution);
         [2, 3].map(|shape| {
             (around.flow.value(&solution, Figure::Heat { shape }), around.flow.measures.surface_heat(&at, shape))

@@ -194,9 +194,8 @@ fn first_line(text: &str) -> &str {
 
 /// The settings of another spacing, also on surfaces, over the same time.
 pub fn at_spacing(loaded: &Loaded, dx: f64) -> Vec<Setting> {
-    let surface = loaded.config.surface_spacing_at(dx).map(|surface| format!("resolution.surface={surface}"));
-    let spacings = std::iter::once(format!("resolution.dx={dx}")).chain(surface);
-    spacings.map(|setting| Setting::set(&setting)).chain(loaded.same_time()).collect()
+    let spacings = loaded.config.spacings_at(dx).map(|(key, spacing)| Setting::set(&format!("{key}={spacing}")));
+    spacings.chain(loaded.same_time()).collect()
 }
 
 /// The settings of a heated channel with so many rows, whatever its height: where no coarser spacing divides both height and length, the

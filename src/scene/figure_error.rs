@@ -122,7 +122,7 @@ fn has_corners(config: &Config) -> bool {
             true => !spans(d),
             false => corner[d] > 0.0 && corner[d] < size[d],
         };
-        corners.iter().any(|corner| is_in(corner, 0) && is_in(corner, 1))
+        corners.iter().any(|corner| (0..2).all(|d| is_in(corner, d)))
     })
 }
 

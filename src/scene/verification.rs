@@ -8,7 +8,7 @@
 use super::around_flow::Designed;
 use super::figure_error::{order, Parts};
 use super::load::Loaded;
-use super::record::Record;
+use super::record::{relative_change, Record};
 use super::Scene;
 use crate::adjoint::RunError;
 use crate::config::layers::Setting;
@@ -103,7 +103,7 @@ impl Finding {
     /// The change from reference to best over the reference, positive where it is better; none if the check failed.
     pub fn gain(&self) -> Option<f64> {
         let sign = if self.smaller { -1.0 } else { 1.0 };
-        self.figures.as_ref().ok().map(|(reference, best)| sign * (best - reference) / reference.abs())
+        self.figures.as_ref().ok().map(|(reference, best)| sign * relative_change(*reference, *best))
     }
 
     fn reference(&self) -> Option<f64> {
@@ -360,11 +360,7 @@ impl Verification {
             Check::FinerSpacing => {
                 let dx = before.finer_spacing();
                 after.resolution.dx = dx;
-                set("resolution.dx", &dx);
-                if let Some(surface) = before.surface_spacing_at(dx) {
-                    after.resolution.surface = Some(surface);
-                    set("resolution.surface", &surface);
-                }
+                before.spacings_at(dx).for_each(|(key, spacing)| set(key, &spacing));
                 // Walls of cells must be as deep as the bound.
                 let rows = (before.design.bound / dx - 1e-9).ceil().max(0.0) as usize;
                 if before.method.facts().wall_cells && rows > before.channel.wall_rows {

@@ -55,9 +55,10 @@ impl Config {
         self.spacing_up_to(0.8 * dx).unwrap_or(0.5 * dx)
     }
 
-    /// The spacing on the surfaces of bodies that goes with another spacing of all, where one is given: as many times finer as now.
-    pub fn surface_spacing_at(&self, dx: f64) -> Option<f64> {
-        self.resolution.surface.map(|surface| surface * dx / self.resolution.dx)
+    /// The keys of another spacing with their values: where one is given on the surfaces of bodies, it goes with that of all.
+    pub fn spacings_at(&self, dx: f64) -> impl Iterator<Item = (&'static str, f64)> {
+        let surface = self.resolution.surface.map(|surface| surface * dx / self.resolution.dx);
+        std::iter::once(("resolution.dx", dx)).chain(surface.map(|surface| ("resolution.surface", surface)))
     }
 
     /// The lengths that the spacing must divide.

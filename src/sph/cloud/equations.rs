@@ -447,8 +447,10 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
         }
     }
 
-    /// Adds those of the centres of another one.
-    pub fn add_centres(&mut self, other: &Self) {
+    /// Adds those of the viscosity, the volume and the centres of shapes of another one.
+    pub fn add_of_whole_flow(&mut self, other: &Self) {
+        self.viscosity += other.viscosity;
+        self.volume += other.volume;
         other.centres.iter().for_each(|&(shape, centre)| self.add_centre(shape, centre));
     }
 

@@ -380,9 +380,7 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         for (to, from) in found.all.position.iter_mut().zip(&found.bar.position) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
         }
-        found.all.bar.volume += found.bar.volume;
-        found.all.bar.viscosity += found.bar.viscosity;
-        found.all.bar.add_centres(&found.bar);
+        found.all.bar.add_of_whole_flow(&found.bar);
         let time = self.first.0 + self.sizes[..=k].iter().sum::<f64>();
         flow.gather(self.boundary, time, found);
     }

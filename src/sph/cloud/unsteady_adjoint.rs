@@ -61,9 +61,7 @@ impl<const D: usize, const F: usize, const C: usize> Cotangents<D, F, C> {
     /// Adds those of another part of a flow, but for the first state's.
     pub fn add(&mut self, other: Self) {
         self.bar.add_walls(&other.bar);
-        self.bar.viscosity += other.bar.viscosity;
-        self.bar.volume += other.bar.volume;
-        self.bar.add_centres(&other.bar);
+        self.bar.add_of_whole_flow(&other.bar);
         for (to, from) in self.position.iter_mut().zip(other.position) {
             to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
         }
@@ -254,8 +252,6 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             self.boundary.pull_back(time, bar, &mut found.position, &mut found.parameters);
         }
         found.bar.add_walls(bar);
-        found.bar.volume += bar.volume;
-        found.bar.viscosity += bar.viscosity;
-        found.bar.add_centres(bar);
+        found.bar.add_of_whole_flow(bar);
     }
 }
