@@ -4,7 +4,7 @@
     python3 scripts/bodies_fem.py data/scenes/examples/least-drag.toml        a scene (--points 160: edges a body; --far 0.014: mesh size)
     python3 scripts/bodies_fem.py runs/optimize-least-drag                    the first and the best shapes of a search
 
-Taylor-Hood elements (P2, P1) and P2 for heat on a mesh of gmsh around discs, ellipses and splines, Newton's method; forces and heat from
+Taylor-Hood elements (P2, P1) and P2 for heat on a mesh of gmsh around discs, ellipses, splines and polygons (finer at corners), Newton's method; forces and heat from
 the residual at the nodes of each body, which is an exact balance. Either x is periodic and y has walls at rest, whose temperature
 is that of the boxes behind them, or region.sides has an inflow at the left (numbers or formulas of y), an outflow at the right, and
 symmetry. A drive (fluid.drive) is replaced by the body force that hydrograd found. Needs numpy, scipy, scikit-fem and gmsh.
@@ -25,8 +25,27 @@ from skfem import Basis, BilinearForm, ElementTriP1, ElementTriP2, ElementVector
 from skfem.helpers import ddot, div, dot, grad, mul
 
 
+def centre(shape):
+    """The centre of a body, or the centroid of a polygon."""
+    if "points" not in shape:
+        return shape["centre"]
+    p = np.array(shape["points"])
+    q = np.roll(p, -1, 0)
+    cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
+    return ((p + q) * cross[:, None]).sum(0) / (3 * cross.sum())
+
+
 def outline(shape, count):
-    """Points of a body at equal distances."""
+    """Points of a body at equal distances; those of a polygon are denser by far at its corners."""
+    if shape["kind"] == "polygon":
+        p = np.array(shape["points"], float)
+        edges = np.roll(p, -1, 0) - p
+        share = np.hypot(*edges.T) / np.hypot(*edges.T).sum()
+        found = []
+        for corner, edge, part in zip(p, edges, share):
+            u = np.arange(n := max(8, round(part * count))) / n
+            found.append(corner + np.where(u < 0.5, 4 * u**3, 1 - 4 * (1 - u) ** 3)[:, None] * edge)
+        return np.vstack(found)
     a = np.linspace(0, 2 * np.pi, 4001)[:-1]
     x, y = shape["centre"]
     if shape["kind"] == "disc":
@@ -40,11 +59,11 @@ def outline(shape, count):
         radius = CubicSpline(np.arange(len(r) + 1) * 2 * np.pi / len(r), np.append(r, r[0]), bc_type="periodic")(a)
         p = np.stack([x + radius * np.cos(a), y + radius * np.sin(a)], 1)
     else:
-        sys.exit(f"a body of kind {shape['kind']}: discs, ellipses and splines only")
+        sys.exit(f"a body of kind {shape['kind']}: discs, ellipses, splines and polygons only")
     way = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(np.vstack([p, p[:1]]), axis=0).T))])
     at = np.arange(count) / count * way[-1]
     closed = np.vstack([p, p[:1]])
-    return np.stack([np.interp(at, way, closed[:, d]) for d in (0, 1)], 1), way[-1]
+    return np.stack([np.interp(at, way, closed[:, d]) for d in (0, 1)], 1)
 
 
 def mesh(size, bodies, far, periodic):
@@ -55,8 +74,9 @@ def mesh(size, bodies, far, periodic):
     corners = [g.addPoint(*q, 0, far) for q in [(0, 0), (size[0], 0), (size[0], size[1]), (0, size[1])]]
     edges = [g.addLine(corners[i], corners[(i + 1) % 4]) for i in range(4)]
     loops = [g.addCurveLoop(edges)]
-    for points, length in bodies:
-        q = [g.addPoint(*x, 0, length / len(points)) for x in points]
+    for points in bodies:
+        step = np.hypot(*(np.roll(points, -1, 0) - points).T)
+        q = [g.addPoint(*x, 0, h) for x, h in zip(points, 0.5 * (step + np.roll(step, 1)))]
         lines = [g.addLine(q[i], q[(i + 1) % len(q)]) for i in range(len(q))]
         for line in lines:
             g.mesh.setTransfiniteCurve(line, 2)
@@ -176,7 +196,7 @@ def flow(scene, force, points, far):
                 fixed += list(dofs(bt, which))
 
     def near(shape, q):
-        p, _ = outline(shape, 400)
+        p = outline(shape, 400)
         return np.hypot(*(p - q).T).min() < 0.01
 
     at = dofs(bv, body)
@@ -204,7 +224,7 @@ def flow(scene, force, points, far):
     for i, shape in enumerate(bodies):
         d = owner[i]
         xs, ys = d[component[d] == 0], d[component[d] == 1]
-        cx, cy = shape["centre"]
+        cx, cy = centre(shape)
         torque = -((bv.doflocs[0, ys] - cx) * R[ys]).sum() + ((bv.doflocs[1, xs] - cy) * R[xs]).sum()
         record = {"force": [-density * R[xs].sum(), -density * R[ys].sum()], "torque": density * torque}
         if has_heat:

@@ -2,12 +2,13 @@
 """Bodies in a channel at random beside finite elements: do the errors of flow rate, force and heat, and that of the gain of `optimize`, hold?
 
     python3 scripts/random_bodies.py figures --count 20     one or two discs, ellipses and splines with `simulate --error`
+    python3 scripts/random_bodies.py corners --count 20     the same with polygons of three to five corners
     python3 scripts/random_bodies.py gain --count 12        an ellipse or a spline of an area, by `optimize`: least drag, or most heat
 
 Fixed particles, steady flows. Places, sizes, viscosity and conductivity are drawn by --seed and number; half of the channels are periodic and driven
 by a body force, the others have an inflow and an outflow. One line for each scene: how far figures are from those of bodies_fem.py and, in
-brackets, their errors, in per cent (transverse forces in per cent of the drag); then how many hold, and how much larger than the true error the
-error is in the middle. HYDROGRAD names another program than target/release/hydrograd. Needs what bodies_fem.py needs.
+brackets, their errors, in per cent (transverse forces in per cent of the drag, torques of drag times radius); then how many hold, and how much
+larger than the true error the error is in the middle. HYDROGRAD names another program than target/release/hydrograd. Needs what bodies_fem.py needs.
 """
 import argparse
 import json
@@ -15,6 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import tomllib
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
@@ -29,11 +31,21 @@ def body(kind, centre, size, random, temperature):
         "disc": lambda: f"radius = {size}",
         "ellipse": lambda: f"axes = [{size}, {round(size * number(0.45, 1), 3)}]\nangle = {round(number(0, 180))}",
         "spline": lambda: f"radii = {[round(size * number(0.65, 1), 3) for _ in range(int(random.integers(5, 9)))]}",
+        "polygon": lambda: f"points = {polygon(centre, size, random)}",
     }[kind]()
+    if kind == "polygon":
+        return f'[[shapes]]\nkind = "polygon"\ntemperature = {temperature}\n{own}\n'
     return f'[[shapes]]\nkind = "{kind}"\ncentre = {list(centre)}\ntemperature = {temperature}\n{own}\n'
 
 
-def scene(random, searched):
+def polygon(centre, size, random):
+    """Corners around a centre."""
+    count, turn = int(random.integers(3, 6)), random.uniform(0, 2 * np.pi)
+    angles = turn + 2 * np.pi * (np.arange(count) + random.uniform(-0.2, 0.2, count)) / count
+    return [[round(float(c + size * r * f(a)), 4) for c, f in zip(centre, (np.cos, np.sin))] for a, r in zip(angles, random.uniform(0.75, 1.15, count))]
+
+
+def scene(random, searched, kinds=("disc", "ellipse", "spline")):
     """A scene's text, and the number of its first body."""
     number = lambda least, most, digits=3: float(np.round(random.uniform(least, most), digits))
     height, length, viscosity = float(random.choice([0.4, 0.5, 0.6])), float(random.choice([0.8, 1.0, 1.4])), number(0.005, 0.03, 4)
@@ -45,7 +57,7 @@ def scene(random, searched):
     goal = ["drag", "smaller"] if random.random() < 0.5 else ["shape-heat", "larger"]
     text += f'objective = {{ kind = "{goal[0]}", goal = "{goal[1]}", shapes = [{first}] }}\n'
     place = (number(0.33 * length, 0.45 * length), number(0.45 * height, 0.55 * height))
-    kind = str(random.choice(["ellipse", "spline"] if searched else ["disc", "ellipse", "spline"]))
+    kind = str(random.choice(["ellipse", "spline"] if searched else kinds))
     if searched:
         lower, upper, area = 0.7 * size, 1.35 * size, np.pi * size**2
         names = ["axes[0]", "axes[1]"] if kind == "ellipse" else [f"radii[{k}]" for k in range(6)]
@@ -59,7 +71,7 @@ def scene(random, searched):
     else:
         bodies = body(kind, place, size, random, number(0.5, 2))
         if random.random() < 0.35:
-            bodies += body("disc", (number(0.7 * length, 0.78 * length), number(0.4 * height, 0.6 * height)), number(0.05, 0.08), random, number(0.5, 2))
+            bodies += body("disc" if "disc" in kinds else kinds[0], (number(0.7 * length, 0.78 * length), number(0.4 * height, 0.6 * height)), number(0.05, 0.08), random, number(0.5, 2))
     sides = f'{{ left = {{ kind = "inflow", velocity = ["{speed}*4*y*({height} - y)/{height}^2", 0], temperature = "0" }}, right = {{ kind = "outflow" }} }}'
     text += f"[region]\nsize = [{length}, {height}]\nperiodic = [{str(periodic).lower()}, false]\nacceleration = [{force if periodic else 0.0}, 0.0]\n"
     if periodic:
@@ -76,6 +88,15 @@ def finite_elements(path):
     return [json.loads(line[line.index("{"):]) for line in done.stdout.splitlines() if "{" in line]
 
 
+def size_of(path, k):
+    """About the radius of a body."""
+    with open(path, "rb") as file:
+        shape = tomllib.load(file)["shapes"][k]
+    if "points" in shape:
+        return 0.5 * float(np.ptp(np.array(shape["points"]), axis=0).max())
+    return shape.get("radius") or float(np.mean(shape.get("axes") or shape["radii"]))
+
+
 def figures(path, out, first):
     record = run("simulate", path, "--error", "--out", out)
     if record is None:
@@ -88,6 +109,8 @@ def figures(path, out, first):
         for along, name in enumerate(["drag", "lift"]):
             error = errors.get(f"shapes[{first + k}].force[{along}]")
             yield name, own["force"][along] - of_body["force"][along], error, of_body["force"][0]
+        size = np.sqrt(of_body["force"][0] ** 2 + of_body["force"][1] ** 2) * size_of(path, first + k)
+        yield "torque", own["torque"] - of_body["torque"], errors.get(f"shapes[{first + k}].torque"), size
         yield "heat", own["heat"] - of_body["heat"], errors.get(f"shapes[{first + k}].heat"), max(abs(one["heat"]) for one in truth["shapes"])
 
 
@@ -121,19 +144,20 @@ def conclude(found):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["figures", "gain"])
+    parser.add_argument("what", choices=["figures", "corners", "gain"])
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=3000)
     options = parser.parse_args()
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(options.count):
-            text, first = scene(np.random.default_rng(options.seed + turn), options.what == "gain")
+            kinds = ("polygon",) if options.what == "corners" else ("disc", "ellipse", "spline")
+            text, first = scene(np.random.default_rng(options.seed + turn), options.what == "gain", kinds)
             path, out = os.path.join(folder, f"{turn}.toml"), os.path.join(folder, f"run-{turn}")
             with open(path, "w") as file:
                 file.write(text)
             told = []
-            for name, off, error, unit in {"figures": figures, "gain": gain}[options.what](path, out, first):
+            for name, off, error, unit in (gain if options.what == "gain" else figures)(path, out, first):
                 if error is not None:
                     found.setdefault(name.split()[0], []).append((abs(off), error, abs(unit)))
                     told.append(f"{name} {100 * off / abs(unit):+.3f} ({100 * error / abs(unit):.3f}){'' if abs(off) <= error else ' OUT'}")

@@ -5,7 +5,7 @@ use hydrograd::config::scene::Config;
 use hydrograd::io::stl::{self, Triangles};
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::sph::cloud::equations::Warmth;
-use hydrograd::sph::cloud::figures::{Figure, MeasureSettings};
+use hydrograd::sph::cloud::figures::{Balanced, Figure, MeasureSettings};
 use hydrograd::sph::cloud::nearest::Region;
 use hydrograd::sph::cloud::outline::Dual;
 use hydrograd::sph::cloud::particles::Fluid;
@@ -234,7 +234,8 @@ impl Surroundings for AtRest {
 fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64) -> SteadyFlow {
     let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], buoyancy: None, velocity };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balances: true }, 2).expect("a flow")
+    SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balanced: Balanced::All }, 2)
+        .expect("a flow")
 }
 
 /// The drag of a cubic array of spheres, whose surface is that of triangles: Zick and Homsy's, as with the surface by formula.

@@ -4,7 +4,7 @@ use hydrograd::config::custom::{Kind, Part, ShapeEntry};
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
 use hydrograd::sph::cloud::equations::Warmth;
-use hydrograd::sph::cloud::figures::{Figure, MeasureSettings};
+use hydrograd::sph::cloud::figures::{Balanced, Figure, MeasureSettings};
 use hydrograd::sph::cloud::fit_adjoint::PairCotangents;
 use hydrograd::sph::cloud::fits::Fits;
 use hydrograd::sph::cloud::nearest::{Nearest, Region};
@@ -40,7 +40,8 @@ fn ball(centre: [f64; 3], radius: f64) -> Surface {
 fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64) -> SteadyFlow {
     let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], buoyancy: None, velocity };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balances: true }, 2).expect("a flow")
+    SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balanced: Balanced::All }, 2)
+        .expect("a flow")
 }
 
 /// A cloud of points without order: every third near a shape, every seventh on a boundary.
@@ -168,9 +169,13 @@ fn the_same_flows_through_all_planes_of_an_array_of_spheres() {
     let planes: Vec<Vec<[f64; 3]>> = [0.0, 0.25, 0.5].map(|x| plane(x).filter(in_fluid).collect()).to_vec();
     let fluid = Fluid { viscosity: 100.0, diffusivity: None, force: [1.0, 0.0, 0.0], buoyancy: None, velocity: 1e-3 };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    let mut flow =
-        SteadyFlow::new(cloud, None, MeasureSettings { probes: &planes.concat(), target: 0.0, balances: true }, 2)
-            .expect("a flow");
+    let mut flow = SteadyFlow::new(
+        cloud,
+        None,
+        MeasureSettings { probes: &planes.concat(), target: 0.0, balanced: Balanced::All },
+        2,
+    )
+    .expect("a flow");
     let solution = flow.solve(&flow.cloud.numbers()).expect("a solution");
     let at = flow.at(&solution);
     let mut next = 0;

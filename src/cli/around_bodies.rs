@@ -24,7 +24,7 @@ use std::time::Instant;
 const REST: f64 = 0.03;
 
 fn warnings_of(around: &AroundBodies, solution: &Solution, figures: &Figures) -> Vec<Warning> {
-    let mut found = imbalances(figures, &finer(around.config()));
+    let mut found = imbalances(figures, |_| false, &finer(around.config()));
     let rest = around.rest(solution);
     if rest > REST {
         let problem =

@@ -42,11 +42,11 @@ fn number(figures: &Figures, name: &str) -> Option<f64> {
 /// Figures by name, see [`AroundShapes::summary`].
 pub type Figures = [(&'static str, Value)];
 
-/// Warnings about shapes whose surface does not agree with the balance.
-pub fn imbalances(figures: &Figures, advice: &str) -> Vec<Warning> {
+/// Warnings about shapes whose surface does not agree with the balance, but for those that have corners, where a surface always misses something.
+pub fn imbalances(figures: &Figures, has_corners: impl Fn(usize) -> bool, advice: &str) -> Vec<Warning> {
     let shapes = figures.iter().find(|(name, _)| *name == "shapes").and_then(|(_, shapes)| shapes.as_array().cloned());
     let mut found = vec![];
-    for (k, shape) in shapes.into_iter().flatten().enumerate() {
+    for (k, shape) in shapes.into_iter().flatten().enumerate().filter(|(k, _)| !has_corners(*k)) {
         for (name, by_surface) in [("force", "force_by_surface"), ("heat", "heat_by_surface")] {
             let of = |key: &str| match &shape[key] {
                 Value::Array(parts) => parts.iter().filter_map(Value::as_f64).map(|x| x * x).sum::<f64>().sqrt(),
@@ -70,7 +70,12 @@ pub fn imbalances(figures: &Figures, advice: &str) -> Vec<Warning> {
 /// Warnings about a solution and its figures: a surface that does not agree with the balance, a rest of continuity, and
 /// narrow passages.
 fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) -> Vec<Warning> {
-    let mut found = imbalances(figures, &around.finer_advice());
+    let outlines = &around.flow.cloud.ground.outlines;
+    let mut found = imbalances(
+        figures,
+        |k| outlines.get(k).is_some_and(|outline| !outline.corners().is_empty()),
+        &around.finer_advice(),
+    );
     let area = around.flow.measures.area(&around.flow.at(solution));
     // What goes round in a cavity counts as well.
     let narrowest = around.config().region.size.iter().fold(f64::MAX, |a, &b| a.min(b));

@@ -12,7 +12,7 @@ use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::conditions::Conditions as _;
 use crate::sph::cloud::equations::{Motion, Warmth};
-use crate::sph::cloud::figures::MeasureSettings;
+use crate::sph::cloud::figures::{Balanced, MeasureSettings};
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
@@ -24,8 +24,12 @@ use std::sync::Arc;
 
 /// Growth of the spacing far from bodies, per distance.
 const GROWTH: f64 = 0.15;
-/// Corners are rounded to this radius, in spacings of the surface.
-const ROUNDED: f64 = 1.0;
+/// Corners are rounded to this radius, in spacings of the surface. (Around a triangle with dx = 0.02 the flow rate is 2.5, 1.2, 0.5 and 0.3 %
+/// off with 1, 1/2, 1/4 and 1/8.)
+const ROUNDED: f64 = 0.125;
+/// The same where forces are sums over surfaces, to which the pressure at a sharp corner is not known well: by its surface the drag of a box is
+/// 2.8 % off with 1 and 4.8 % with 1/8.
+const ROUNDED_WITH_SOUND: f64 = 1.0;
 
 /// The steady flow of a configuration.
 pub struct AroundShapes {
@@ -175,8 +179,8 @@ pub(super) fn has_objective(config: &Config) -> bool {
     is_told || config.initial.temperature.is_some()
 }
 
-fn outlines(entries: &[ShapeEntry], surface: f64) -> Vec<Outline> {
-    entries.iter().filter_map(|entry| Outline::new(entry, ROUNDED * surface)).collect()
+fn outlines(entries: &[ShapeEntry], radius: f64) -> Vec<Outline> {
+    entries.iter().filter_map(|entry| Outline::new(entry, radius)).collect()
 }
 
 impl AroundShapes {
@@ -189,7 +193,8 @@ impl AroundShapes {
         let surface = config.resolution.surface.unwrap_or(dx / 3.0).min(dx);
         let plane =
             Plane { size: [region.size[0], region.size[1]], periodic: [region.periodic[0], region.periodic[1]] };
-        let outlines = outlines(&config.shapes, surface);
+        let rounded = if config.has_sound() { ROUNDED_WITH_SOUND } else { ROUNDED };
+        let outlines = outlines(&config.shapes, rounded * surface);
         let read = config.wall_formula();
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 2, read));
         let polygon = |outline: &Outline| Polygon::of(&outline.points(&outline.samples(8), &outline.numbers));
@@ -399,7 +404,12 @@ fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
 
 /// What a configuration asks of figures.
 pub(super) fn measure_settings<'a, const D: usize>(config: &Config, probes: &'a [[f64; D]]) -> MeasureSettings<'a, D> {
-    MeasureSettings { probes, target: config.objective.target_x, balances: config.unsteady().is_none() }
+    let balanced = match config.unsteady() {
+        None => Balanced::All,
+        Some(_) if config.has_sound() => Balanced::Nothing,
+        Some(_) => Balanced::Momentum,
+    };
+    MeasureSettings { probes, target: config.objective.target_x, balanced }
 }
 
 /// The points of all probes of a checked configuration in D dimensions.

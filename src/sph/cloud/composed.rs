@@ -123,14 +123,15 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
         let mut row = (within[e].mul(&is_inside)? + (own.mul(&value)? - given)?)?;
         for along in 0..2 {
             let free = rows(&|k| {
-                is(motion(k) == Motion::Outflow(along) || (motion(k) == Motion::Symmetry(along) && along != e))
+                let is_out = motion(k) == Motion::Outflow(along);
+                let factor = if is_out && along == e { equations.viscosity } else { 1.0 };
+                factor * is(is_out || (motion(k) == Motion::Symmetry(along) && along != e))
             })?;
             row = (row + slopes[along].mul(&free)?)?;
         }
-        residual.push(row);
+        residual.push((row - p.mul(&rows(&|k| is(motion(k) == Motion::Outflow(e)))?)?)?);
     }
-    let leaves = rows(&|k| is(matches!(motion(k), Motion::Outflow(_))))?;
-    residual.push((within[2].mul(&leaves.affine(-1.0, 1.0)?)? + p.mul(&leaves)?)?);
+    residual.push(within[2].clone());
     let warmth = |k: usize| equations.conditions[k].warmth;
     let value = rows(&|k| is(matches!(warmth(k), Warmth::Given(_))))?;
     let given = rows(&|k| match warmth(k) {

@@ -11,6 +11,7 @@
 //! numbers ([`particles`]).
 pub mod composed;
 pub mod conditions;
+pub mod contour;
 pub mod corner_fit;
 pub mod deformation;
 pub mod equations;

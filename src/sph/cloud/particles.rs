@@ -2,7 +2,7 @@
 
 use super::conditions::Conditions;
 use super::deformation::Deformation;
-use super::equations::{damping, Bar, BoundaryBar, Condition, Equations, Motion, Warmth};
+use super::equations::{damping, Bar, BoundaryBar, Condition, Derivatives, Equations, Motion, State, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
@@ -78,6 +78,30 @@ pub struct Shaped {
     pub area: Vec<[f64; 2]>,
     pub conditions: Vec<Condition>,
     pub operators: Coefficients,
+}
+
+/// State and derivatives at one shape.
+pub struct At<'a> {
+    pub equations: &'a Equations,
+    pub shaped: &'a Shaped,
+    pub state: &'a State,
+    pub d: &'a Derivatives,
+}
+
+impl At<'_> {
+    pub fn velocity(&self, i: usize) -> [f64; 2] {
+        [self.state.fields[0][i], self.state.fields[1][i]]
+    }
+
+    /// The particle at a point of the boundary.
+    pub fn on(&self, k: usize) -> usize {
+        self.equations.inside + k
+    }
+
+    /// The place of a point of the boundary.
+    pub fn place_on(&self, k: usize) -> [f64; 2] {
+        [self.shaped.position[0][self.on(k)], self.shaped.position[1][self.on(k)]]
+    }
 }
 
 fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {

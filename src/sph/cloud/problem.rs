@@ -1,8 +1,8 @@
 //! A steady flow around shapes as a function of their numbers: figures, and their exact derivatives.
 
 use super::equations::{Bar, Derivatives, State};
-use super::figures::{At, Figure, MeasureSettings, Measures, Rate};
-use super::particles::{Cloud, Shaped, Unusable};
+use super::figures::{Figure, MeasureSettings, Measures, Rate};
+use super::particles::{At, Cloud, Shaped, Unusable};
 use super::steady::{Held, NoSteadyState, Solver};
 use std::sync::Arc;
 

@@ -5,7 +5,7 @@
 //! The difference is shared among the shapes by their areas.
 
 use super::super::equations::Warmth;
-use super::super::figures::{Figure, MeasureSettings};
+use super::super::figures::{Balanced, Figure, MeasureSettings};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::Nearest;
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
@@ -84,7 +84,8 @@ impl Measures {
         };
         let areas: Vec<f64> = (0..shapes).map(area).collect();
         let total: f64 = areas.iter().sum();
-        let share = areas.iter().map(|area| if settings.balances { area / total } else { 0.0 }).collect();
+        let share =
+            areas.iter().map(|area| if settings.balanced == Balanced::All { area / total } else { 0.0 }).collect();
         let near = Nearest::new(region, cloud.ground.dx, &places.place);
         let sample = |p: [f64; 3], weight: f64| {
             let (_, particle) = near.one(p, 3.0 * cloud.ground.dx)?;

@@ -1,0 +1,521 @@
+//! Closed lines around bodies, through particles, and what flows through them: forces, torques and heat.
+//!
+//! Between a body and a closed line C around it that encloses nothing else, momentum and heat are conserved. With the traction
+//! t = -p n + nu (grad u + grad u^T) n, the normal n out of C, a body force f per mass and the area A of the fluid within C,
+//!
+//! ```text
+//!   force = int_C (t - u u.n) + f A,   heat = int_C (T u.n - alpha n . grad T),   torque = int_C r x (t - u u.n) + int_A r x f.
+//! ```
+//!
+//! In a flow that is not steady, what the fluid within C keeps is missing. Of momentum it follows from what is on C, too, since div u = 0
+//! and no fluid goes through the body's surface (du/dt by the equation of momentum, r from a point within the body):
+//!
+//! ```text
+//!   force = int_C (t - u u.n - r du/dt . n) + f A.
+//! ```
+//!
+//! This is more accurate by far than sums over the points on the surface: pressure and flux are singular at corners, and vary fast
+//! elsewhere, while fields on C are smooth. C is the mean of three lines, 3 to 7 dx away and no farther than half of the way to what is
+//! next. They follow cells of the lattice, with corners moved to the nearest particles, which carry them. Between two particles fields and
+//! their slopes are cubic with the derivatives that both have (Hermite's interpolation), read at Gauss's two points.
+
+use super::equations::Bar;
+use super::nearest::{Nearest, Plane};
+use super::particles::{At, Cloud};
+
+/// The largest distances of three lines from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no rounding
+/// decides which of them belong to it.)
+const REACHES: [f64; 3] = [3.53, 5.03, 6.53];
+/// The share of each line in the mean.
+const SHARE: f64 = 1.0 / REACHES.len() as f64;
+/// A cell belongs to a body that is nearer by this factor than all else.
+const NEARER: f64 = 0.997;
+/// Cells from a body to what is next, at least.
+const CELLS: f64 = 6.0;
+/// Corners of the lines go to particles that are nearest to places so far from the corners of cells, in cells.
+const ASIDE: [f64; 2] = [0.023, 0.017];
+/// Distances from a body are those from points on it that are so far from each other, in dx.
+const THINNED: f64 = 0.1;
+
+/// A corner of the line: a particle, or an image of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Corner {
+    particle: usize,
+    shift: [f64; 2],
+}
+
+/// The lines around a body, as pieces that have the body on their left.
+#[derive(Debug, Clone)]
+pub struct Contour {
+    pieces: Vec<[Corner; 2]>,
+    /// The points on the body, as indices of the boundary.
+    surface: Vec<usize>,
+    /// A point within the body, or near it.
+    origin: [f64; 2],
+    /// Whether the flow may not be steady.
+    in_time: bool,
+}
+
+/// A point of a piece.
+struct Point {
+    /// The shares of values at both ends, and of derivatives along the piece there.
+    shares: [[f64; 2]; 2],
+    /// From the first end to the second one.
+    along: [f64; 2],
+    /// The way from the first end, from 0 to 1.
+    s: f64,
+    /// Normal out of the line times length, and the line's share.
+    normal: [f64; 2],
+    place: [f64; 2],
+}
+
+/// Value and slopes of a field, or their cotangents.
+type Read = [f64; 3];
+
+/// Places on a piece and weights of Gauss's two points.
+fn gauss() -> [f64; 2] {
+    let off = 0.5 / 3f64.sqrt();
+    [0.5 - off, 0.5 + off]
+}
+
+fn place(at: &At<'_>, corner: Corner) -> [f64; 2] {
+    std::array::from_fn(|d| at.shaped.position[d][corner.particle] + corner.shift[d])
+}
+
+/// Points of a line of which none is nearer to the one before than a distance.
+fn thinned(points: &[[f64; 2]], apart: f64) -> Vec<[f64; 2]> {
+    let mut found: Vec<[f64; 2]> = vec![];
+    for p in points {
+        if found.last().is_none_or(|q| (p[0] - q[0]).hypot(p[1] - q[1]) >= apart) {
+            found.push(*p);
+        }
+    }
+    found
+}
+
+/// What is near a body.
+struct Beside {
+    plane: Plane,
+    /// Points on it.
+    polygon: Vec<[f64; 2]>,
+    /// The offsets of its own images that are near.
+    images: Vec<[f64; 2]>,
+    to_body: Nearest,
+    /// From the points on all else.
+    to_others: Nearest,
+    /// Larger distances do not count.
+    most: f64,
+}
+
+impl Beside {
+    fn new(cloud: &Cloud, body: usize, most: f64) -> Self {
+        let (places, plane, dx) = (&cloud.places, cloud.ground.plane, cloud.ground.dx);
+        let polygon = thinned(&places.polygons[body], THINNED * dx);
+        let on_others = places.boundary.iter().filter(|point| point.on.is_none_or(|(shape, _)| shape != body));
+        let others: Vec<[f64; 2]> = on_others.map(|point| places.place[point.particle]).collect();
+        let wrapped: Vec<[f64; 2]> = polygon.iter().map(|&p| plane.wrapped(p)).collect();
+        let length = |d: usize| {
+            let of = |pick: fn(f64, f64) -> f64, from: f64| polygon.iter().map(|p| p[d]).fold(from, pick);
+            of(f64::max, f64::MIN) - of(f64::min, f64::MAX)
+        };
+        let is_near = |image: &[f64; 2]| *image != [0.0; 2] && (0..2).all(|d| image[d].abs() < length(d) + most);
+        let images = plane.images().filter(is_near).collect();
+        let (to_body, to_others) = (Nearest::new(plane, dx, &wrapped), Nearest::new(plane, dx, &others));
+        Self { plane, polygon, images, to_body, to_others, most }
+    }
+
+    fn to_image(&self, p: [f64; 2], image: [f64; 2]) -> f64 {
+        let to = |q: &[f64; 2]| (q[0] + image[0] - p[0]).hypot(q[1] + image[1] - p[1]);
+        self.polygon.iter().map(to).fold(self.most, f64::min)
+    }
+
+    /// How far a place is from the body, and not from another image of it.
+    fn to_body(&self, p: [f64; 2]) -> f64 {
+        match self.images.is_empty() {
+            true => self.to_body.one(self.plane.wrapped(p), self.most).map_or(self.most, |(distance, _)| distance),
+            false => self.to_image(p, [0.0; 2]),
+        }
+    }
+
+    /// How far it is from all else, the body's other images among it.
+    fn to_next(&self, p: [f64; 2]) -> f64 {
+        let most = self.images.iter().map(|&image| self.to_image(p, image)).fold(self.most, f64::min);
+        self.to_others.one(self.plane.wrapped(p), most).map_or(most, |(distance, _)| distance)
+    }
+}
+
+impl Contour {
+    /// The line around a body, given the points on its surface, in a flow that is steady or not.
+    pub fn around(cloud: &Cloud, body: usize, surface: Vec<usize>, in_time: bool) -> Self {
+        let (ground, places) = (&cloud.ground, &cloud.places);
+        let (plane, dx) = (ground.plane, ground.dx);
+        let whole = &places.polygons[body];
+        let reach = REACHES[2] * dx;
+        let beside = Beside::new(cloud, body, 2.0 * reach);
+        let polygon = &beside.polygon;
+        let width = polygon.iter().map(|&p| beside.to_next(p)).fold(f64::MAX, f64::min);
+        let refined = (CELLS * dx / width).ceil().max(1.0);
+        let [low, high] = places.corners;
+        let cells = ground.cells(&places.corners);
+        let step: [f64; 2] = std::array::from_fn(|d| (high[d] - low[d]) / cells[d] as f64 / refined);
+        let bound = |d: usize, of: fn(f64, f64) -> f64, from: f64| polygon.iter().map(|p| p[d]).fold(from, of);
+        let first: [i64; 2] =
+            std::array::from_fn(|d| ((bound(d, f64::min, f64::MAX) - reach - low[d]) / step[d]).floor() as i64 - 1);
+        let count: [usize; 2] = std::array::from_fn(|d| {
+            let last = ((bound(d, f64::max, f64::MIN) + reach - low[d]) / step[d]).ceil() as i64 + 1;
+            (last - first[d]) as usize
+        });
+        let at = |i: f64, j: f64| [low[0] + (first[0] as f64 + i) * step[0], low[1] + (first[1] as f64 + j) * step[1]];
+        // The least of the lines that has a cell within it.
+        let belongs: Vec<usize> = (0..count[0] * count[1])
+            .map(|k| {
+                let p = at((k / count[1]) as f64 + 0.5, (k % count[1]) as f64 + 0.5);
+                if whole.contains(p) {
+                    return 0;
+                }
+                let distance = beside.to_body(p);
+                let line = REACHES.iter().position(|&reach| distance < reach * dx);
+                line.filter(|_| distance < NEARER * beside.to_next(p)).unwrap_or(REACHES.len())
+            })
+            .collect();
+        let is_in = |line: usize, i: i64, j: i64| {
+            let inside = |k: i64, d: usize| k >= 0 && (k as usize) < count[d];
+            inside(i, 0) && inside(j, 1) && belongs[i as usize * count[1] + j as usize] <= line
+        };
+        let to_particles = Nearest::new(plane, dx, &places.place[..places.inside]);
+        let corner = |i: i64, j: i64| {
+            // Rounding shall not decide between particles that are equally near.
+            let p = at(i as f64 + ASIDE[0], j as f64 + ASIDE[1]);
+            let (_, particle) = to_particles.one(plane.wrapped(p), 4.0 * ground.far * dx)?;
+            let own = places.place[particle];
+            let r = plane.between(own, p);
+            Some(Corner { particle, shift: std::array::from_fn(|d| p[d] - r[d] - own[d]) })
+        };
+        let mut pieces = vec![];
+        let all = (0..count[0] as i64).flat_map(|i| (0..count[1] as i64).map(move |j| (i, j)));
+        for (line, (i, j)) in (0..REACHES.len()).flat_map(|line| all.clone().map(move |cell| (line, cell))) {
+            if !is_in(line, i, j) {
+                continue;
+            }
+            let sides = [
+                ((i, j - 1), (i, j), (i + 1, j)),
+                ((i + 1, j), (i + 1, j), (i + 1, j + 1)),
+                ((i, j + 1), (i + 1, j + 1), (i, j + 1)),
+                ((i - 1, j), (i, j + 1), (i, j)),
+            ];
+            for (beyond, from, to) in sides {
+                if is_in(line, beyond.0, beyond.1) {
+                    continue;
+                }
+                if let (Some(a), Some(b)) = (corner(from.0, from.1), corner(to.0, to.1)) {
+                    if a != b {
+                        pieces.push([a, b]);
+                    }
+                }
+            }
+        }
+        let origin = std::array::from_fn(|d| polygon.iter().map(|p| p[d]).sum::<f64>() / polygon.len() as f64);
+        Self { pieces, surface, origin, in_time }
+    }
+
+    /// The particles that the line goes through.
+    pub fn particles(&self) -> impl Iterator<Item = usize> + '_ {
+        self.pieces.iter().map(|[a, _]| a.particle)
+    }
+
+    fn points(at: &At<'_>, piece: [Corner; 2]) -> [Point; 2] {
+        let (a, b) = (place(at, piece[0]), place(at, piece[1]));
+        let along = [b[0] - a[0], b[1] - a[1]];
+        gauss().map(|s| Point {
+            shares: [
+                [1.0 - s * s * (3.0 - 2.0 * s), s * (1.0 - s) * (1.0 - s)],
+                [s * s * (3.0 - 2.0 * s), s * s * (s - 1.0)],
+            ],
+            along,
+            s,
+            normal: [0.5 * SHARE * along[1], -0.5 * SHARE * along[0]],
+            place: [a[0] + s * along[0], a[1] + s * along[1]],
+        })
+    }
+
+    /// A field and its slopes at a point of a piece.
+    fn read(at: &At<'_>, piece: [Corner; 2], point: &Point, field: usize) -> Read {
+        let (mut found, [x, y]) = ([0.0; 3], point.along);
+        for (end, [own, by]) in piece.iter().zip(point.shares) {
+            let (value, d) = (at.state.fields[field][end.particle], &at.d.0[field][end.particle]);
+            found[0] += own * value + by * (d[0] * x + d[1] * y);
+            found[1] += own * d[0] + by * (d[2] * x + d[3] * y);
+            found[2] += own * d[1] + by * (d[3] * x + d[4] * y);
+        }
+        found
+    }
+
+    /// Adds the cotangents of what [`Self::read`] gives; returns that of the vector along the piece.
+    fn read_back(at: &At<'_>, piece: [Corner; 2], point: &Point, field: usize, of: Read, bar: &mut Bar) -> [f64; 2] {
+        let (mut along, [x, y], [value, by_x, by_y]) = ([0.0; 2], point.along, of);
+        for (end, [own, by]) in piece.iter().zip(point.shares) {
+            let i = end.particle;
+            bar.fields[field][i] += own * value;
+            let to = &mut bar.derivatives.0[field][i];
+            to[0] += own * by_x + by * value * x;
+            to[1] += own * by_y + by * value * y;
+            to[2] += by * by_x * x;
+            to[3] += by * (by_x * y + by_y * x);
+            to[4] += by * by_y * y;
+            let d = &at.d.0[field][i];
+            along[0] += by * (value * d[0] + by_x * d[2] + by_y * d[3]);
+            along[1] += by * (value * d[1] + by_x * d[3] + by_y * d[4]);
+        }
+        along
+    }
+
+    /// Traction times length less the momentum that the fluid carries out, at a point.
+    fn push(at: &At<'_>, [u, v, p]: &[Read; 3], n: [f64; 2]) -> [f64; 2] {
+        let nu = at.equations.viscosity;
+        let out = u[0] * n[0] + v[0] * n[1];
+        [
+            nu * (2.0 * u[1] * n[0] + (u[2] + v[1]) * n[1]) - p[0] * n[0] - u[0] * out,
+            nu * ((v[1] + u[2]) * n[0] + 2.0 * v[2] * n[1]) - p[0] * n[1] - v[0] * out,
+        ]
+    }
+
+    /// The change of velocity in time at a corner.
+    fn acceleration(at: &At<'_>, corner: Corner, body_force: [f64; 2]) -> [f64; 2] {
+        let (i, nu) = (corner.particle, at.equations.viscosity);
+        let ([u, v], dp) = (at.velocity(i), &at.d.0[2][i]);
+        std::array::from_fn(|e| {
+            let d = &at.d.0[e][i];
+            body_force[e] - u * d[0] - v * d[1] - dp[e] + nu * (d[2] + d[4])
+        })
+    }
+
+    fn acceleration_back(at: &At<'_>, corner: Corner, of: [f64; 2], bar: &mut Bar) {
+        let (i, nu) = (corner.particle, at.equations.viscosity);
+        let [u, v] = at.velocity(i);
+        for e in 0..2 {
+            let d = &at.d.0[e][i];
+            bar.fields[0][i] -= of[e] * d[0];
+            bar.fields[1][i] -= of[e] * d[1];
+            bar.viscosity += of[e] * (d[2] + d[4]);
+            bar.derivatives.0[2][i][e] -= of[e];
+            let to = &mut bar.derivatives.0[e][i];
+            to[0] -= of[e] * u;
+            to[1] -= of[e] * v;
+            to[2] += of[e] * nu;
+            to[4] += of[e] * nu;
+        }
+    }
+
+    /// The change of velocity in time at a point of a piece.
+    fn change(at: &At<'_>, piece: [Corner; 2], point: &Point, body_force: [f64; 2]) -> [f64; 2] {
+        let [a, b] = piece.map(|corner| Self::acceleration(at, corner, body_force));
+        std::array::from_fn(|d| (1.0 - point.s) * a[d] + point.s * b[d])
+    }
+
+    /// Force on the body and, about a centre, its torque, as far as they come through the line.
+    fn through(&self, at: &At<'_>, body_force: [f64; 2], centre: [f64; 2]) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for &piece in &self.pieces {
+            for point in Self::points(at, piece) {
+                let fields = [0, 1, 2].map(|field| Self::read(at, piece, &point, field));
+                let [x, y] = Self::push(at, &fields, point.normal);
+                let r = [point.place[0] - centre[0], point.place[1] - centre[1]];
+                (sum[0], sum[1], sum[2]) = (sum[0] + x, sum[1] + y, sum[2] + r[0] * y - r[1] * x);
+                if self.in_time {
+                    let (n, change) = (point.normal, Self::change(at, piece, &point, body_force));
+                    let out = change[0] * n[0] + change[1] * n[1];
+                    (0..2).for_each(|d| sum[d] -= (point.place[d] - self.origin[d]) * out);
+                }
+            }
+        }
+        sum
+    }
+
+    /// A place from the origin. (Where corners are sharp the normals of a surface do not quite add up to nothing, so the origin counts.)
+    fn relative(&self, p: [f64; 2]) -> [f64; 2] {
+        std::array::from_fn(|d| p[d] - self.origin[d])
+    }
+
+    /// Area and first moments of the fluid within the line, from the origin.
+    fn moments(&self, at: &At<'_>) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for &[a, b] in &self.pieces {
+            let [a, b] = [a, b].map(|corner| self.relative(place(at, corner)));
+            let [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+            sum[0] += 0.5 * (a[0] * b[1] - a[1] * b[0]);
+            sum[1] += (a[0] * a[0] + a[0] * b[0] + b[0] * b[0]) / 6.0 * dy;
+            sum[2] -= (a[1] * a[1] + a[1] * b[1] + b[1] * b[1]) / 6.0 * dx;
+        }
+        sum = sum.map(|x| SHARE * x);
+        for &k in &self.surface {
+            let (p, n) = (self.relative(at.place_on(k)), at.shaped.area[k]);
+            sum[0] -= 0.5 * (p[0] * n[0] + p[1] * n[1]);
+            sum[1] -= 0.5 * p[0] * p[0] * n[0];
+            sum[2] -= 0.5 * p[1] * p[1] * n[1];
+        }
+        sum
+    }
+
+    /// Force on the body along x and y, and its torque about a centre, given the body force. (The torque is that of a steady flow.)
+    pub fn force(&self, at: &At<'_>, body_force: [f64; 2], centre: [f64; 2]) -> [f64; 3] {
+        let [x, y, torque] = self.through(at, body_force, centre);
+        let [fx, fy] = body_force;
+        if body_force == [0.0; 2] {
+            return [x, y, torque];
+        }
+        let ([area, mx, my], centre) = (self.moments(at), self.relative(centre));
+        [x + fx * area, y + fy * area, torque + (mx - centre[0] * area) * fy - (my - centre[1] * area) * fx]
+    }
+
+    /// Adds the cotangents of [`Self::force`], given those of its three numbers; returns those of body force and centre.
+    pub fn force_back(
+        &self,
+        at: &At<'_>,
+        body_force: [f64; 2],
+        centre: [f64; 2],
+        weight: [f64; 3],
+        bar: &mut Bar,
+    ) -> [[f64; 2]; 2] {
+        let nu = at.equations.viscosity;
+        let (mut of_force, mut of_centre) = ([0.0; 2], [0.0; 2]);
+        for &piece in &self.pieces {
+            for point in Self::points(at, piece) {
+                let fields = [0, 1, 2].map(|field| Self::read(at, piece, &point, field));
+                let n = point.normal;
+                let push = Self::push(at, &fields, n);
+                let r = [point.place[0] - centre[0], point.place[1] - centre[1]];
+                let w = [weight[0] - weight[2] * r[1], weight[1] + weight[2] * r[0]];
+                let mut of_place = [weight[2] * push[1], -weight[2] * push[0]];
+                (0..2).for_each(|d| of_centre[d] -= of_place[d]);
+                let [u, v, p] = fields;
+                let out = u[0] * n[0] + v[0] * n[1];
+                let carried = w[0] * u[0] + w[1] * v[0];
+                let across = nu * (w[0] * n[1] + w[1] * n[0]);
+                let mut of_along = Self::read_back(
+                    at,
+                    piece,
+                    &point,
+                    0,
+                    [-w[0] * out - carried * n[0], 2.0 * nu * w[0] * n[0], across],
+                    bar,
+                );
+                let of_v = [-w[1] * out - carried * n[1], across, 2.0 * nu * w[1] * n[1]];
+                let of_p = [-(w[0] * n[0] + w[1] * n[1]), 0.0, 0.0];
+                for (field, of) in [(1, of_v), (2, of_p)] {
+                    let more = Self::read_back(at, piece, &point, field, of, bar);
+                    (0..2).for_each(|d| of_along[d] += more[d]);
+                }
+                bar.viscosity += w[0] * (2.0 * u[1] * n[0] + (u[2] + v[1]) * n[1])
+                    + w[1] * ((v[1] + u[2]) * n[0] + 2.0 * v[2] * n[1]);
+                let mut of_normal = [
+                    nu * (2.0 * w[0] * u[1] + w[1] * (u[2] + v[1])) - w[0] * p[0] - carried * u[0],
+                    nu * (w[0] * (u[2] + v[1]) + 2.0 * w[1] * v[2]) - w[1] * p[0] - carried * v[0],
+                ];
+                if self.in_time {
+                    let change = Self::change(at, piece, &point, body_force);
+                    let out = change[0] * n[0] + change[1] * n[1];
+                    let by: f64 = (0..2).map(|d| -weight[d] * (point.place[d] - self.origin[d])).sum();
+                    for d in 0..2 {
+                        of_place[d] -= weight[d] * out;
+                        of_normal[d] += by * change[d];
+                        of_force[d] += by * n[d];
+                    }
+                    for (corner, share) in piece.into_iter().zip([1.0 - point.s, point.s]) {
+                        Self::acceleration_back(at, corner, n.map(|one| share * by * one), bar);
+                    }
+                }
+                Self::piece_back(piece, &point, of_along, of_normal, of_place, bar);
+            }
+        }
+        if body_force == [0.0; 2] {
+            return [of_force, of_centre];
+        }
+        let ([fx, fy], [area, mx, my], centre) = (body_force, self.moments(at), self.relative(centre));
+        let of_moments = [
+            weight[0] * fx + weight[1] * fy + weight[2] * (centre[1] * fx - centre[0] * fy),
+            weight[2] * fy,
+            -weight[2] * fx,
+        ];
+        self.moments_back(at, of_moments, bar);
+        of_centre[0] -= weight[2] * area * fy;
+        of_centre[1] += weight[2] * area * fx;
+        of_force[0] += weight[0] * area - weight[2] * (my - centre[1] * area);
+        of_force[1] += weight[1] * area + weight[2] * (mx - centre[0] * area);
+        [of_force, of_centre]
+    }
+
+    /// Adds the cotangents of the ends of a piece, given those of the vector along it, of a point's normal, and of its place.
+    fn piece_back(
+        piece: [Corner; 2],
+        point: &Point,
+        along: [f64; 2],
+        normal: [f64; 2],
+        place: [f64; 2],
+        bar: &mut Bar,
+    ) {
+        let along = [along[0] - 0.5 * SHARE * normal[1], along[1] + 0.5 * SHARE * normal[0]];
+        let [a, b] = piece.map(|corner| corner.particle);
+        for d in 0..2 {
+            bar.position[d][a] += (1.0 - point.s) * place[d] - along[d];
+            bar.position[d][b] += point.s * place[d] + along[d];
+        }
+    }
+
+    fn moments_back(&self, at: &At<'_>, of: [f64; 3], bar: &mut Bar) {
+        let weight = of.map(|x| SHARE * x);
+        for &[from, to] in &self.pieces {
+            let [a, b] = [from, to].map(|corner| self.relative(place(at, corner)));
+            let [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+            let square = |d: usize| (a[d] * a[d] + a[d] * b[d] + b[d] * b[d]) / 6.0;
+            let (i, j) = (from.particle, to.particle);
+            bar.position[0][i] +=
+                0.5 * weight[0] * b[1] + weight[1] * (2.0 * a[0] + b[0]) / 6.0 * dy + weight[2] * square(1);
+            bar.position[0][j] +=
+                -0.5 * weight[0] * a[1] + weight[1] * (a[0] + 2.0 * b[0]) / 6.0 * dy - weight[2] * square(1);
+            bar.position[1][i] +=
+                -0.5 * weight[0] * b[0] - weight[1] * square(0) - weight[2] * (2.0 * a[1] + b[1]) / 6.0 * dx;
+            bar.position[1][j] +=
+                0.5 * weight[0] * a[0] + weight[1] * square(0) - weight[2] * (a[1] + 2.0 * b[1]) / 6.0 * dx;
+        }
+        for &k in &self.surface {
+            let (p, n) = (self.relative(at.place_on(k)), at.shaped.area[k]);
+            for d in 0..2 {
+                bar.position[d][at.on(k)] -= 0.5 * of[0] * n[d] + of[1 + d] * p[d] * n[d];
+                bar.boundary[k].area[d] -= 0.5 * of[0] * p[d] + 0.5 * of[1 + d] * p[d] * p[d];
+            }
+        }
+    }
+
+    /// The heat that the body gives to the fluid, per density and heat capacity.
+    pub fn heat(&self, at: &At<'_>) -> f64 {
+        let alpha = at.equations.diffusivity.unwrap_or(0.0);
+        let of = |piece: &[Corner; 2]| -> f64 {
+            let at_point = |point: Point| {
+                let [u, v, t] = [0, 1, 3].map(|field| Self::read(at, *piece, &point, field));
+                let n = point.normal;
+                t[0] * (u[0] * n[0] + v[0] * n[1]) - alpha * (t[1] * n[0] + t[2] * n[1])
+            };
+            Self::points(at, *piece).into_iter().map(at_point).sum()
+        };
+        self.pieces.iter().map(of).sum()
+    }
+
+    /// Adds the cotangents of the heat.
+    pub fn heat_back(&self, at: &At<'_>, weight: f64, bar: &mut Bar) {
+        let alpha = at.equations.diffusivity.unwrap_or(0.0);
+        for &piece in &self.pieces {
+            for point in Self::points(at, piece) {
+                let [u, v, t] = [0, 1, 3].map(|field| Self::read(at, piece, &point, field));
+                let n = point.normal;
+                let of_t = [u[0] * n[0] + v[0] * n[1], -alpha * n[0], -alpha * n[1]];
+                let mut of_along = [0.0; 2];
+                for (field, of) in [(0, [t[0] * n[0], 0.0, 0.0]), (1, [t[0] * n[1], 0.0, 0.0]), (3, of_t)] {
+                    let more = Self::read_back(at, piece, &point, field, of.map(|one| weight * one), bar);
+                    (0..2).for_each(|d| of_along[d] += more[d]);
+                }
+                let of_normal = [weight * (t[0] * u[0] - alpha * t[1]), weight * (t[0] * v[0] - alpha * t[2])];
+                Self::piece_back(piece, &point, of_along, of_normal, [0.0; 2], bar);
+            }
+        }
+    }
+}
