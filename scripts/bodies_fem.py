@@ -195,15 +195,15 @@ def flow(scene, force, points, far):
                 T[dofs(bt, which)] = value
                 fixed += list(dofs(bt, which))
 
-    def near(shape, q):
-        p = outline(shape, 400)
-        return np.hypot(*(p - q).T).min() < 0.01
+    def near(points, q):
+        return np.hypot(*(points - q).T).min() < 0.01
 
     at = dofs(bv, body)
-    owner = [at[[near(shape, q) for q in bv.doflocs[:, at].T]] for shape in bodies]
+    outlines = [outline(shape, 400) for shape in bodies]
+    owner = [at[[near(points, q) for q in bv.doflocs[:, at].T]] for points in outlines]
     if has_heat:
         hot = dofs(bt, body)
-        warm = [hot[[near(shape, q) for q in bt.doflocs[:, hot].T]] for shape in bodies]
+        warm = [hot[[near(points, q) for q in bt.doflocs[:, hot].T]] for points in outlines]
         for shape, which in zip(bodies, warm):
             T[which] = shape["temperature"]
             fixed += list(which)

@@ -45,7 +45,10 @@ def polygon(centre, size, random):
     return [[round(float(c + size * r * f(a)), 4) for c, f in zip(centre, (np.cos, np.sin))] for a, r in zip(angles, random.uniform(0.75, 1.15, count))]
 
 
-def scene(random, searched, kinds=("disc", "ellipse", "spline")):
+ROUND = ("disc", "ellipse", "spline")
+
+
+def scene(random, searched, kinds=ROUND):
     """A scene's text, and the number of its first body."""
     number = lambda least, most, digits=3: float(np.round(random.uniform(least, most), digits))
     height, length, viscosity = float(random.choice([0.4, 0.5, 0.6])), float(random.choice([0.8, 1.0, 1.4])), number(0.005, 0.03, 4)
@@ -71,7 +74,7 @@ def scene(random, searched, kinds=("disc", "ellipse", "spline")):
     else:
         bodies = body(kind, place, size, random, number(0.5, 2))
         if random.random() < 0.35:
-            bodies += body("disc" if "disc" in kinds else kinds[0], (number(0.7 * length, 0.78 * length), number(0.4 * height, 0.6 * height)), number(0.05, 0.08), random, number(0.5, 2))
+            bodies += body(kinds[0], (number(0.7 * length, 0.78 * length), number(0.4 * height, 0.6 * height)), number(0.05, 0.08), random, number(0.5, 2))
     sides = f'{{ left = {{ kind = "inflow", velocity = ["{speed}*4*y*({height} - y)/{height}^2", 0], temperature = "0" }}, right = {{ kind = "outflow" }} }}'
     text += f"[region]\nsize = [{length}, {height}]\nperiodic = [{str(periodic).lower()}, false]\nacceleration = [{force if periodic else 0.0}, 0.0]\n"
     if periodic:
@@ -151,7 +154,7 @@ def main():
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(options.count):
-            kinds = ("polygon",) if options.what == "corners" else ("disc", "ellipse", "spline")
+            kinds = ("polygon",) if options.what == "corners" else ROUND
             text, first = scene(np.random.default_rng(options.seed + turn), options.what == "gain", kinds)
             path, out = os.path.join(folder, f"{turn}.toml"), os.path.join(folder, f"run-{turn}")
             with open(path, "w") as file:

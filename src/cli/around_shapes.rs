@@ -70,12 +70,7 @@ pub fn imbalances(figures: &Figures, has_corners: impl Fn(usize) -> bool, advice
 /// Warnings about a solution and its figures: a surface that does not agree with the balance, a rest of continuity, and
 /// narrow passages.
 fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) -> Vec<Warning> {
-    let outlines = &around.flow.cloud.ground.outlines;
-    let mut found = imbalances(
-        figures,
-        |k| outlines.get(k).is_some_and(|outline| !outline.corners().is_empty()),
-        &around.finer_advice(),
-    );
+    let mut found = imbalances(figures, |k| around.flow.measures.has_corners(k), &around.finer_advice());
     let area = around.flow.measures.area(&around.flow.at(solution));
     // What goes round in a cavity counts as well.
     let narrowest = around.config().region.size.iter().fold(f64::MAX, |a, &b| a.min(b));

@@ -12,10 +12,9 @@ use super::flows::columns_of;
 use super::record::Record;
 use crate::config::scene::{Config, Family, Method};
 use crate::numerics::grid_convergence::{at_finest, observed_order, Point};
-use crate::sph::cloud::outline::{area, Outline};
+use crate::sph::cloud::outline::Outline;
 use serde::Serialize;
 use serde_json::Value;
-use std::f64::consts::PI;
 
 /// Figures that have an error; of each shape those of `OF_SHAPES`.
 const FIGURES: [&str; 17] = [
@@ -212,7 +211,8 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
     let coarser: Vec<(f64, Vec<Figure>)> =
         coarser.iter().map(|(spacing, record)| (*spacing, figures(record))).collect();
     let mut found = vec![];
-    for (name, value) in figures(record) {
+    let of_run = figures(record);
+    for (name, value) in of_run.clone() {
         let finest = Point { spacing: config.resolution.dx, value };
         let points: Vec<Point> = coarser
             .iter()
@@ -236,19 +236,16 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
     let least = all.get(all.len() / 2).map_or(0.0, |median| POOLED * median);
     for one in &mut found {
         let least = least.max(of_hot_ends(config, &one.name));
-        let of_force = of_force(config, &figures(record), &coarser, &one.name);
+        let of_force = of_force(config, &of_run, &coarser, &one.name);
         one.parts.discretisation = one.parts.discretisation.max(least * one.value.abs()).max(of_force);
     }
     // The objective may be one of the other figures.
-    let twin = |one: &FigureError| {
-        let same = found.iter().filter(|other| one.name == "objective" && other.value.abs() == one.value.abs());
-        same.map(|other| other.parts.discretisation).fold(one.parts.discretisation, f64::max)
-    };
-    let twins: Vec<f64> = found.iter().map(twin).collect();
-    for (one, discretisation) in found.iter_mut().zip(twins) {
-        one.parts.discretisation = discretisation;
-        one.error = one.parts.total();
+    if let Some(objective) = found.iter().position(|one| one.name == "objective") {
+        let value = found[objective].value.abs();
+        let same = found.iter().filter(|one| one.value.abs() == value);
+        found[objective].parts.discretisation = same.map(|one| one.parts.discretisation).fold(0.0, f64::max);
     }
+    found.iter_mut().for_each(|one| one.error = one.parts.total());
     found
 }
 
@@ -276,9 +273,7 @@ fn of_force(config: &Config, finest: &[Figure], coarser: &[(f64, Vec<Figure>)], 
 /// The radius of a circle of the area of a shape, given as `shapes[2]`; none in three dimensions.
 fn radius_of(config: &Config, shape: &str) -> Option<f64> {
     let number = shape.strip_prefix("shapes[")?.strip_suffix(']')?.parse::<usize>().ok()?;
-    let outline = Outline::new(config.shapes.get(number)?, 0.0)?;
-    let points = outline.points(&outline.samples(8), &outline.numbers);
-    Some((area(&points).abs() / PI).sqrt())
+    Some(Outline::new(config.shapes.get(number)?, 0.0)?.radius())
 }
 
 /// What the averages over the window say of their own error: how far they are from what they go to where the flow is to become steady, and

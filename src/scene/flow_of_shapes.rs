@@ -15,7 +15,6 @@ use crate::sph::cloud::figures::{Figure, Rate};
 use crate::sph::cloud::fit::COEFFICIENTS;
 use crate::sph::cloud::fits::Fits;
 use crate::sph::cloud::march::March;
-use crate::sph::cloud::outline::area;
 use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
 use crate::sph::cloud::sound::Medium;
@@ -251,9 +250,7 @@ impl AroundShapes {
     /// A matrix without factors.
     pub fn growth(&mut self, solution: &Solution, fastest: f64) -> Result<Option<(f64, f64)>, Error> {
         let cloud = &self.flow.cloud;
-        let outlines = cloud.places.bodies.iter().map(|&body| &cloud.ground.outlines[body]);
-        let across = outlines
-            .map(|outline| (area(&outline.points(&outline.samples(8), &outline.numbers)).abs() * 4.0 / PI).sqrt());
+        let across = cloud.places.bodies.iter().map(|&body| 2.0 * cloud.ground.outlines[body].radius());
         let size = across.fold(0.0, f64::max);
         if size == 0.0 || fastest * size / self.config().kinematic_viscosity() < STABLE {
             return Ok(None);

@@ -22,6 +22,7 @@
 use super::equations::Bar;
 use super::nearest::{Nearest, Plane};
 use super::particles::{At, Cloud};
+use super::traction::Patch;
 
 /// The largest distances of three lines from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no rounding
 /// decides which of them belong to it.)
@@ -114,11 +115,8 @@ impl Beside {
         let on_others = places.boundary.iter().filter(|point| point.on.is_none_or(|(shape, _)| shape != body));
         let others: Vec<[f64; 2]> = on_others.map(|point| places.place[point.particle]).collect();
         let wrapped: Vec<[f64; 2]> = polygon.iter().map(|&p| plane.wrapped(p)).collect();
-        let length = |d: usize| {
-            let of = |pick: fn(f64, f64) -> f64, from: f64| polygon.iter().map(|p| p[d]).fold(from, pick);
-            of(f64::max, f64::MIN) - of(f64::min, f64::MAX)
-        };
-        let is_near = |image: &[f64; 2]| *image != [0.0; 2] && (0..2).all(|d| image[d].abs() < length(d) + most);
+        let [low, high] = places.polygons[body].bounds();
+        let is_near = |image: &[f64; 2]| *image != [0.0; 2] && (0..2).all(|d| image[d].abs() < high[d] - low[d] + most);
         let images = plane.images().filter(is_near).collect();
         let (to_body, to_others) = (Nearest::new(plane, dx, &wrapped), Nearest::new(plane, dx, &others));
         Self { plane, polygon, images, to_body, to_others, most }
@@ -158,11 +156,10 @@ impl Contour {
         let [low, high] = places.corners;
         let cells = ground.cells(&places.corners);
         let step: [f64; 2] = std::array::from_fn(|d| (high[d] - low[d]) / cells[d] as f64 / refined);
-        let bound = |d: usize, of: fn(f64, f64) -> f64, from: f64| polygon.iter().map(|p| p[d]).fold(from, of);
-        let first: [i64; 2] =
-            std::array::from_fn(|d| ((bound(d, f64::min, f64::MAX) - reach - low[d]) / step[d]).floor() as i64 - 1);
+        let [from, to] = whole.bounds();
+        let first: [i64; 2] = std::array::from_fn(|d| ((from[d] - reach - low[d]) / step[d]).floor() as i64 - 1);
         let count: [usize; 2] = std::array::from_fn(|d| {
-            let last = ((bound(d, f64::max, f64::MIN) + reach - low[d]) / step[d]).ceil() as i64 + 1;
+            let last = ((to[d] + reach - low[d]) / step[d]).ceil() as i64 + 1;
             (last - first[d]) as usize
         });
         let at = |i: f64, j: f64| [low[0] + (first[0] as f64 + i) * step[0], low[1] + (first[1] as f64 + j) * step[1]];
@@ -218,6 +215,10 @@ impl Contour {
         Self { pieces, surface, origin, in_time }
     }
 
+    pub fn is_steady(&self) -> bool {
+        !self.in_time
+    }
+
     /// The particles that the line goes through.
     pub fn particles(&self) -> impl Iterator<Item = usize> + '_ {
         self.pieces.iter().map(|[a, _]| a.particle)
@@ -269,14 +270,10 @@ impl Contour {
         along
     }
 
-    /// Traction times length less the momentum that the fluid carries out, at a point.
-    fn push(at: &At<'_>, [u, v, p]: &[Read; 3], n: [f64; 2]) -> [f64; 2] {
-        let nu = at.equations.viscosity;
-        let out = u[0] * n[0] + v[0] * n[1];
-        [
-            nu * (2.0 * u[1] * n[0] + (u[2] + v[1]) * n[1]) - p[0] * n[0] - u[0] * out,
-            nu * ((v[1] + u[2]) * n[0] + 2.0 * v[2] * n[1]) - p[0] * n[1] - v[0] * out,
-        ]
+    /// What pushes at a point of a piece.
+    fn patch(at: &At<'_>, piece: [Corner; 2], point: &Point) -> Patch<2> {
+        let [u, v, p] = [0, 1, 2].map(|field| Self::read(at, piece, point, field));
+        Patch { velocity: [u[0], v[0]], gradient: [[u[1], u[2]], [v[1], v[2]]], pressure: p[0], area: point.normal }
     }
 
     /// The change of velocity in time at a corner.
@@ -317,14 +314,15 @@ impl Contour {
         let mut sum = [0.0; 3];
         for &piece in &self.pieces {
             for point in Self::points(at, piece) {
-                let fields = [0, 1, 2].map(|field| Self::read(at, piece, &point, field));
-                let [x, y] = Self::push(at, &fields, point.normal);
+                let patch = Self::patch(at, piece, &point);
+                let [x, y] = [0, 1].map(|e| patch.push(at.equations.viscosity, e));
                 let r = [point.place[0] - centre[0], point.place[1] - centre[1]];
                 (sum[0], sum[1], sum[2]) = (sum[0] + x, sum[1] + y, sum[2] + r[0] * y - r[1] * x);
                 if self.in_time {
                     let (n, change) = (point.normal, Self::change(at, piece, &point, body_force));
                     let out = change[0] * n[0] + change[1] * n[1];
-                    (0..2).for_each(|d| sum[d] -= (point.place[d] - self.origin[d]) * out);
+                    let r = self.relative(point.place);
+                    (0..2).for_each(|d| sum[d] -= r[d] * out);
                 }
             }
         }
@@ -380,41 +378,26 @@ impl Contour {
         let (mut of_force, mut of_centre) = ([0.0; 2], [0.0; 2]);
         for &piece in &self.pieces {
             for point in Self::points(at, piece) {
-                let fields = [0, 1, 2].map(|field| Self::read(at, piece, &point, field));
-                let n = point.normal;
-                let push = Self::push(at, &fields, n);
+                let (n, patch) = (point.normal, Self::patch(at, piece, &point));
+                let [x, y] = [0, 1].map(|e| patch.push(nu, e));
                 let r = [point.place[0] - centre[0], point.place[1] - centre[1]];
                 let w = [weight[0] - weight[2] * r[1], weight[1] + weight[2] * r[0]];
-                let mut of_place = [weight[2] * push[1], -weight[2] * push[0]];
+                let mut of_place = [weight[2] * y, -weight[2] * x];
                 (0..2).for_each(|d| of_centre[d] -= of_place[d]);
-                let [u, v, p] = fields;
-                let out = u[0] * n[0] + v[0] * n[1];
-                let carried = w[0] * u[0] + w[1] * v[0];
-                let across = nu * (w[0] * n[1] + w[1] * n[0]);
-                let mut of_along = Self::read_back(
-                    at,
-                    piece,
-                    &point,
-                    0,
-                    [-w[0] * out - carried * n[0], 2.0 * nu * w[0] * n[0], across],
-                    bar,
-                );
-                let of_v = [-w[1] * out - carried * n[1], across, 2.0 * nu * w[1] * n[1]];
-                let of_p = [-(w[0] * n[0] + w[1] * n[1]), 0.0, 0.0];
-                for (field, of) in [(1, of_v), (2, of_p)] {
+                let (back, viscosity) = patch.push_back(nu, w);
+                bar.viscosity += viscosity;
+                let velocity = |e: usize| [back.velocity[e], back.gradient[e][0], back.gradient[e][1]];
+                let mut of_along = [0.0; 2];
+                for (field, of) in [(0, velocity(0)), (1, velocity(1)), (2, [back.pressure, 0.0, 0.0])] {
                     let more = Self::read_back(at, piece, &point, field, of, bar);
                     (0..2).for_each(|d| of_along[d] += more[d]);
                 }
-                bar.viscosity += w[0] * (2.0 * u[1] * n[0] + (u[2] + v[1]) * n[1])
-                    + w[1] * ((v[1] + u[2]) * n[0] + 2.0 * v[2] * n[1]);
-                let mut of_normal = [
-                    nu * (2.0 * w[0] * u[1] + w[1] * (u[2] + v[1])) - w[0] * p[0] - carried * u[0],
-                    nu * (w[0] * (u[2] + v[1]) + 2.0 * w[1] * v[2]) - w[1] * p[0] - carried * v[0],
-                ];
+                let mut of_normal = back.area;
                 if self.in_time {
                     let change = Self::change(at, piece, &point, body_force);
                     let out = change[0] * n[0] + change[1] * n[1];
-                    let by: f64 = (0..2).map(|d| -weight[d] * (point.place[d] - self.origin[d])).sum();
+                    let r = self.relative(point.place);
+                    let by = -weight[0] * r[0] - weight[1] * r[1];
                     for d in 0..2 {
                         of_place[d] -= weight[d] * out;
                         of_normal[d] += by * change[d];

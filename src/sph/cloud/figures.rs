@@ -18,6 +18,7 @@ use super::fit::Coefficients;
 use super::interpolation::Sample;
 use super::particles::{At, Cloud, Shaped};
 use super::steady::FlowRate;
+use super::traction::{unit, Patch};
 use super::wall_fit::WallFit;
 
 /// A figure that is a smooth function of state and shape.
@@ -80,7 +81,6 @@ pub struct Measures {
     /// Share of each shape in what the lines' forces and heat differ from the sums of all by; 0 of those that are no bodies, and where these are
     /// not known.
     share: Vec<f64>,
-    is_steady: bool,
     has_corners: Vec<bool>,
     inside: usize,
     /// Area of the box that no boundary point accounts for.
@@ -176,7 +176,6 @@ impl Measures {
             rest,
             contours,
             share,
-            is_steady: settings.balanced == Balanced::All,
             has_corners,
             inside,
             base_area,
@@ -190,6 +189,11 @@ impl Measures {
         let sections = self.section.iter().chain(&self.target).map(|(sample, _)| sample);
         let through = self.contours.iter().flatten().flat_map(Contour::particles);
         sections.chain(&self.probes).map(|sample| sample.particle).chain(through).collect()
+    }
+
+    /// Whether a shape has corners, at which a sum over its surface misses something.
+    pub fn has_corners(&self, shape: usize) -> bool {
+        self.has_corners[shape]
     }
 
     /// Whether a shape has a point on the boundary of the fluid.
@@ -254,32 +258,33 @@ impl Measures {
         }
     }
 
-    /// The traction times length at a point of the boundary, less the momentum that the fluid carries in, along e.
-    fn push(&self, at: &At<'_>, k: usize, e: usize) -> f64 {
-        let (i, a, nu) = (self.inside + k, at.shaped.area[k], at.equations.viscosity);
-        let [du, dv, ..] = &at.d.0;
-        let gradient = [[du[i][0], du[i][1]], [dv[i][0], dv[i][1]]];
-        let u = at.velocity(i);
-        let viscous: f64 = (0..2).map(|b| nu * (gradient[e][b] + gradient[b][e]) * a[b]).sum();
-        viscous - at.state.fields[2][i] * a[e] - u[e] * (u[0] * a[0] + u[1] * a[1])
+    /// What pushes at a point of the boundary.
+    fn patch(&self, at: &At<'_>, k: usize) -> Patch<2> {
+        let i = at.on(k);
+        Patch {
+            velocity: at.velocity(i),
+            gradient: std::array::from_fn(|e| [at.d.0[e][i][0], at.d.0[e][i][1]]),
+            pressure: at.state.fields[2][i],
+            area: at.shaped.area[k],
+        }
     }
 
-    fn push_back(&self, at: &At<'_>, k: usize, e: usize, weight: f64, bar: &mut Bar) {
-        let (i, a, nu) = (self.inside + k, at.shaped.area[k], at.equations.viscosity);
-        let [du, dv, ..] = &at.d.0;
-        let gradient = [[du[i][0], du[i][1]], [dv[i][0], dv[i][1]]];
-        let (u, p) = (at.velocity(i), at.state.fields[2][i]);
-        let through = u[0] * a[0] + u[1] * a[1];
-        for b in 0..2 {
-            bar.derivatives.0[e][i][b] += weight * nu * a[b];
-            bar.derivatives.0[b][i][e] += weight * nu * a[b];
-            bar.boundary[k].area[b] += weight * (nu * (gradient[e][b] + gradient[b][e]) - u[e] * u[b]);
-            bar.viscosity += weight * (gradient[e][b] + gradient[b][e]) * a[b];
-            bar.fields[b][i] -= weight * u[e] * a[b];
+    /// The traction times length at a point of the boundary, less the momentum that the fluid carries in, along e.
+    fn push(&self, at: &At<'_>, k: usize, e: usize) -> f64 {
+        self.patch(at, k).push(at.equations.viscosity, e)
+    }
+
+    /// Adds the cotangents of [`Self::push`], given those of both components.
+    fn push_back(&self, at: &At<'_>, k: usize, weight: [f64; 2], bar: &mut Bar) {
+        let (back, viscosity) = self.patch(at, k).push_back(at.equations.viscosity, weight);
+        let i = at.on(k);
+        for e in 0..2 {
+            bar.fields[e][i] += back.velocity[e];
+            (0..2).for_each(|b| bar.derivatives.0[e][i][b] += back.gradient[e][b]);
+            bar.boundary[k].area[e] += back.area[e];
         }
-        bar.boundary[k].area[e] -= weight * p;
-        bar.fields[2][i] -= weight * a[e];
-        bar.fields[e][i] -= weight * through;
+        bar.fields[2][i] += back.pressure;
+        bar.viscosity += viscosity;
     }
 
     /// The heat that enters at a point of the boundary, by conduction and with the fluid.
@@ -363,11 +368,11 @@ impl Measures {
     /// The line that tells the torque: of a body with corners. (With others a sum over the surface is more accurate, for its arms are shorter:
     /// in 35 channels at random 0.05 instead of 0.13 % of drag times radius in the middle.)
     fn line_of_torque(&self, at: &At<'_>, shape: usize) -> Option<&Contour> {
-        self.line_of_force(at, shape).filter(|_| self.is_steady && self.has_corners[shape])
+        self.line_of_force(at, shape).filter(|line| line.is_steady() && self.has_corners[shape])
     }
 
     fn line_of_heat(&self, shape: usize) -> Option<&Contour> {
-        self.contours[shape].as_ref().filter(|_| self.is_steady)
+        self.contours[shape].as_ref().filter(|line| line.is_steady())
     }
 
     pub fn value(&self, figure: Figure, at: &At<'_>) -> f64 {
@@ -477,22 +482,21 @@ impl Measures {
             }
             Figure::Force { shape, along } => match self.line_of_force(at, shape) {
                 Some(line) => {
-                    let of = |weight: f64| std::array::from_fn(|k| if k == along { weight } else { 0.0 });
-                    Self::line_back(line, at, shape, of(weight), bar);
+                    Self::line_back(line, at, shape, unit(along, weight), bar);
                     let weight = weight * self.share(at, shape);
                     if weight == 0.0 {
                         return;
                     }
                     for line in self.contours.iter().flatten() {
-                        Self::line_back(line, at, shape, of(-weight), bar);
+                        Self::line_back(line, at, shape, unit(along, -weight), bar);
                     }
-                    self.rest.iter().for_each(|&k| self.push_back(at, k, along, -weight, bar));
+                    self.rest.iter().for_each(|&k| self.push_back(at, k, unit(along, -weight), bar));
                     self.area_back(at, weight * Self::body_force(at)[along], bar);
                     if along == 0 {
                         bar.drive += weight * self.area(at);
                     }
                 }
-                None => self.points[shape].iter().for_each(|&k| self.push_back(at, k, along, weight, bar)),
+                None => self.points[shape].iter().for_each(|&k| self.push_back(at, k, unit(along, weight), bar)),
             },
             Figure::Heat { shape } => match self.line_of_heat(shape) {
                 Some(line) => {
@@ -514,8 +518,7 @@ impl Measures {
                     let (i, c) = (at.on(k), at.shaped.centre[shape]);
                     let p = at.place_on(k);
                     let (x, y) = (self.push(at, k, 0), self.push(at, k, 1));
-                    self.push_back(at, k, 1, weight * (p[0] - c[0]), bar);
-                    self.push_back(at, k, 0, -weight * (p[1] - c[1]), bar);
+                    self.push_back(at, k, [-weight * (p[1] - c[1]), weight * (p[0] - c[0])], bar);
                     bar.position[0][i] += weight * y;
                     bar.position[1][i] -= weight * x;
                     bar.add_centre(shape, [-weight * y, weight * x]);
@@ -550,8 +553,8 @@ impl Measures {
                     if u == [0.0; 2] {
                         continue;
                     }
+                    self.push_back(at, k, u.map(|u| -weight * u), bar);
                     for e in 0..2 {
-                        self.push_back(at, k, e, -weight * u[e], bar);
                         bar.fields[e][i] -= weight * self.push(at, k, e);
                     }
                     let (square, through) = (u[0] * u[0] + u[1] * u[1], u[0] * a[0] + u[1] * a[1]);

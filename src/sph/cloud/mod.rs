@@ -30,6 +30,7 @@ pub mod sound;
 pub mod sound_adjoint;
 pub mod space;
 pub mod steady;
+pub mod traction;
 pub mod unsteady;
 pub mod unsteady_adjoint;
 pub mod wall_fit;

@@ -341,6 +341,11 @@ impl Outline {
         (0..count).map(|k| k as f64 / count as f64).collect()
     }
 
+    /// The radius of a circle of the area within it.
+    pub fn radius(&self) -> f64 {
+        (area(&self.points(&self.samples(8), &self.numbers)).abs() / PI).sqrt()
+    }
+
     /// Its corners in which it turns by more than 45 degrees: next to them fields have a singularity that the rounding cuts off.
     pub fn corners(&self) -> Vec<[f64; 2]> {
         let Curve::Path { corners, .. } = &self.curve else { return vec![] };

@@ -122,6 +122,11 @@ impl Polygon {
         Self { points, low, high }
     }
 
+    /// The lower and upper corner of the box around it.
+    pub fn bounds(&self) -> [[f64; 2]; 2] {
+        [self.low, self.high]
+    }
+
     pub fn area(&self) -> f64 {
         area_within(self.points.len(), |k| self.points[k]).abs()
     }

@@ -8,6 +8,7 @@ use super::super::equations::Warmth;
 use super::super::figures::{Balanced, Figure, MeasureSettings};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::Nearest;
+use super::super::traction::{unit, Patch};
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
 use super::particles::{Cloud, Shaped};
 use super::steady::FlowRate;
@@ -170,31 +171,29 @@ impl Measures {
         }
     }
 
-    /// The traction times area at a point of the boundary, less the momentum that the fluid carries in, along e.
-    fn push(&self, at: &At<'_>, k: usize, a: [f64; 3], e: usize) -> f64 {
-        let (i, nu) = (self.inside + k, at.equations.viscosity);
-        let u = at.state.velocity(i);
-        let viscous: f64 = (0..3).map(|b| nu * (at.d.0[e][i][b] + at.d.0[b][i][e]) * a[b]).sum();
-        viscous - at.state.fields[PRESSURE][i] * a[e] - u[e] * dot(u, a)
+    /// What pushes through an area at a point of the boundary.
+    fn patch(&self, at: &At<'_>, k: usize, area: [f64; 3]) -> Patch<3> {
+        let i = self.inside + k;
+        let gradient = std::array::from_fn(|e| std::array::from_fn(|b| at.d.0[e][i][b]));
+        Patch { velocity: at.state.velocity(i), gradient, pressure: at.state.fields[PRESSURE][i], area }
     }
 
-    /// Adds the cotangents of [`Self::push`] times `weight`; those of the area, which only shapes change, are returned.
-    fn push_back(&self, at: &At<'_>, k: usize, a: [f64; 3], e: usize, weight: f64, bar: &mut Bar) -> [f64; 3] {
-        let (i, nu) = (self.inside + k, at.equations.viscosity);
-        let (u, p) = (at.state.velocity(i), at.state.fields[PRESSURE][i]);
-        let mut area = [0.0; 3];
-        for b in 0..3 {
-            let twice = at.d.0[e][i][b] + at.d.0[b][i][e];
-            area[b] = weight * (nu * twice - u[e] * u[b]);
-            bar.viscosity += weight * twice * a[b];
-            bar.derivatives.0[e][i][b] += weight * nu * a[b];
-            bar.derivatives.0[b][i][e] += weight * nu * a[b];
-            bar.fields[b][i] -= weight * u[e] * a[b];
+    /// The traction times area at a point of the boundary, less the momentum that the fluid carries in, along e.
+    fn push(&self, at: &At<'_>, k: usize, a: [f64; 3], e: usize) -> f64 {
+        self.patch(at, k, a).push(at.equations.viscosity, e)
+    }
+
+    /// Adds the cotangents of [`Self::push`], given those of its components; those of the area, which only shapes change, are returned.
+    fn push_back(&self, at: &At<'_>, k: usize, a: [f64; 3], weight: [f64; 3], bar: &mut Bar) -> [f64; 3] {
+        let (back, viscosity) = self.patch(at, k, a).push_back(at.equations.viscosity, weight);
+        let i = self.inside + k;
+        for e in 0..3 {
+            bar.fields[e][i] += back.velocity[e];
+            (0..3).for_each(|b| bar.derivatives.0[e][i][b] += back.gradient[e][b]);
         }
-        area[e] -= weight * p;
-        bar.fields[PRESSURE][i] -= weight * a[e];
-        bar.fields[e][i] -= weight * dot(u, a);
-        area
+        bar.fields[PRESSURE][i] += back.pressure;
+        bar.viscosity += viscosity;
+        back.area
     }
 
     /// The heat that enters at a point of the boundary, by conduction (the given flux, where one is given) and with the fluid.
@@ -349,7 +348,7 @@ impl Measures {
             Figure::Force { shape, along } => {
                 let of_body = |body: usize, weight: f64, bar: &mut Bar| {
                     for &k in &self.points[body] {
-                        let area = self.push_back(at, k, at.shaped.area[k], along, weight, bar);
+                        let area = self.push_back(at, k, at.shaped.area[k], unit(along, weight), bar);
                         (0..3).for_each(|d| bar.boundary[k].area[d] += area[d]);
                     }
                 };
@@ -360,7 +359,7 @@ impl Measures {
                 let share = weight * self.share[shape];
                 shapes.for_each(|body| of_body(body, -share, bar));
                 for &(k, area) in &self.rest {
-                    self.push_back(at, k, area, along, -share, bar);
+                    self.push_back(at, k, area, unit(along, -share), bar);
                 }
                 bar.volume += share * at.equations.push(at.state, along);
                 if along == 0 {
@@ -401,10 +400,8 @@ impl Measures {
                     let [x, y] = self.arm(at, shape, k);
                     let (i, area) = (self.inside + k, at.shaped.area[k]);
                     let push = [self.push(at, k, area, 0), self.push(at, k, area, 1)];
-                    for (e, arm) in [(1, x), (0, -y)] {
-                        let by_area = self.push_back(at, k, area, e, weight * arm, bar);
-                        (0..3).for_each(|d| bar.boundary[k].area[d] += by_area[d]);
-                    }
+                    let by_area = self.push_back(at, k, area, [-weight * y, weight * x, 0.0], bar);
+                    (0..3).for_each(|d| bar.boundary[k].area[d] += by_area[d]);
                     bar.position[0][i] += weight * push[1];
                     bar.position[1][i] -= weight * push[0];
                     bar.add_centre(shape, [-weight * push[1], weight * push[0]]);
