@@ -224,8 +224,8 @@ impl AroundShapes {
             outlines,
         };
         let threads = threads::count();
-        let cloud =
-            Cloud::new(ground, materials, Arc::new(conditions), threads).map_err(|why| unusable(config, &why))?;
+        let cloud = Cloud::new(ground, materials, Arc::new(conditions), config.is_corrected(), threads)
+            .map_err(|why| unusable(config, &why))?;
         let numbers = config.shape_numbers();
         let wanted =
             numbers.iter().map(|number| place_of(&cloud, number)).collect::<Option<Vec<_>>>().unwrap_or_default();

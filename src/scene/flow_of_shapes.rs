@@ -147,7 +147,11 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
 
     fn grid_back(&self, shaped: &Arc<Shaped>, state: &State, by: &[f64], bar: &mut Bar) {
         let derivatives = self.flow.solver.equations.derivatives(&shaped.operators, state, true);
-        self.grid_velocity_back(&Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives }, by, bar);
+        self.grid_velocity_back(
+            &Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None },
+            by,
+            bar,
+        );
     }
 
     fn shaped(&self, variables: &[f64]) -> Result<Shaped, Error> {
@@ -185,7 +189,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
     fn seen(&self, shaped: &Arc<Shaped>, _: f64, state: &State) -> Solution {
         let (equations, read_at) = (&self.flow.solver.equations, self.flow.measures.read_at());
         let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
-        Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives }
+        Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None }
     }
 
     fn pull_back(&self, figure: Figure, solution: &Solution, weight: f64, bar: &mut Bar) {

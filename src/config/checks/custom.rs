@@ -138,6 +138,16 @@ impl Config {
         }
     }
 
+    /// Whether a steady flow of fixed particles around shapes is corrected by slopes of third order.
+    pub fn is_corrected(&self) -> bool {
+        match self.method {
+            Method::Fixed(fixed) => {
+                fixed.deferred_correction && fixed.flow == FlowKind::Steady && self.region.size.len() == 2
+            }
+            _ => false,
+        }
+    }
+
     /// Whether the pressure of a flow in time around shapes follows from a speed of sound.
     pub fn has_sound(&self) -> bool {
         !self.is_periodic_box()

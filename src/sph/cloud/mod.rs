@@ -13,6 +13,7 @@ pub mod composed;
 pub mod conditions;
 pub mod contour;
 pub mod corner_fit;
+pub mod deferred_correction;
 pub mod deformation;
 pub mod equations;
 pub mod figures;

@@ -1,6 +1,7 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
 use super::conditions::Conditions;
+use super::deferred_correction;
 use super::deformation::Deformation;
 use super::equations::{damping, Bar, BoundaryBar, Condition, Derivatives, Equations, Motion, State, Warmth};
 use super::fit::{Coefficients, Stencils};
@@ -60,6 +61,8 @@ pub struct Cloud {
     pub fluid: Fluid,
     pub deformation: Deformation,
     pub fits: Arc<Fits>,
+    /// Fits of third order, where steady flows are corrected by their slopes.
+    pub third: Option<Stencils>,
     /// Of each point of the boundary that is on no body, with heat.
     pub wall_fits: Vec<Option<WallFit>>,
     pub surroundings: Arc<dyn Surroundings>,
@@ -237,7 +240,7 @@ impl Conditions<2> for Cloud {
 }
 
 impl Cloud {
-    /// Places particles around the shapes of `ground`.
+    /// Places particles around the shapes of `ground`, with fits of third order if flows are corrected by their slopes.
     ///
     /// # Errors
     /// Shapes that cannot be resolved.
@@ -245,6 +248,7 @@ impl Cloud {
         ground: Ground,
         fluid: Fluid,
         surroundings: Arc<dyn Surroundings>,
+        is_corrected: bool,
         threads: usize,
     ) -> Result<Self, Unusable> {
         let places = ground.fill().map_err(Unusable::Placing)?;
@@ -257,16 +261,22 @@ impl Cloud {
                     .then(|| of(point.particle, wall_fit::NEIGHBOURS + 1))?;
                 WallFit::new(ground.plane, &places.place, point.particle, &near)
             };
-            let near: Vec<_> = (0..places.place.len()).map(|i| of(i, NEIGHBOURS + 1)).collect();
+            let most = if is_corrected { deferred_correction::NEIGHBOURS } else { NEIGHBOURS };
+            let near: Vec<_> = (0..places.place.len()).map(|i| of(i, most + 1)).collect();
             (near, places.boundary.iter().map(on_wall).collect())
         };
-        let stencils = Stencils::new(ground.plane, &places.place, |_| NEIGHBOURS, |_| false, &near)
-            .map_err(|i| Unusable::Lonely(places.place[i]))?;
+        let stencils_of = |count: usize, is_third: bool| {
+            let stencils = Stencils::new(ground.plane, &places.place, |_| count, |_| is_third, &near);
+            stencils.map_err(|i| Unusable::Lonely(places.place[i]))
+        };
+        let stencils = stencils_of(NEIGHBOURS, false)?;
+        let third = is_corrected.then(|| stencils_of(deferred_correction::NEIGHBOURS, true)).transpose()?;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = stencils.coefficients(&position);
         let deformation = Deformation::new(&stencils, &operators, &places.place, places.inside, threads)
             .map_err(|_| Unusable::Singular)?;
-        Ok(Self { ground, places, fluid, deformation, fits: Arc::new(Fits::of_one(stencils)), wall_fits, surroundings })
+        let fits = Arc::new(Fits::of_one(stencils));
+        Ok(Self { ground, places, fluid, deformation, fits, third, wall_fits, surroundings })
     }
 
     pub fn particles(&self) -> usize {

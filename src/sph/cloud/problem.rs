@@ -1,5 +1,6 @@
 //! A steady flow around shapes as a function of their numbers: figures, and their exact derivatives.
 
+use super::deferred_correction::{Defect, Third};
 use super::equations::{Bar, Derivatives, State};
 use super::figures::{Figure, MeasureSettings, Measures, Rate};
 use super::particles::{At, Cloud, Shaped, Unusable};
@@ -21,6 +22,8 @@ pub struct Solution {
     pub shaped: Arc<Shaped>,
     pub state: State,
     pub derivatives: Derivatives,
+    /// The solution that it corrects, where slopes are of third order ([`super::deferred_correction`]).
+    pub first: Option<Box<Solution>>,
 }
 
 /// The derivative of figures of a flow.
@@ -78,7 +81,7 @@ impl SteadyFlow {
         self.solver.equations.conditions = shaped.conditions.clone();
         let mut state = self.last.clone().unwrap_or_else(|| State::at_rest(self.cloud.particles()));
         self.begin_drive(&shaped, &mut state)?;
-        let mut found = self.settle(&shaped, &mut state);
+        let mut found = self.settle(&shaped, &mut state, None);
         if found.is_err() {
             // From rest, with a viscosity that becomes smaller.
             let own = self.solver.equations.viscosity;
@@ -87,7 +90,7 @@ impl SteadyFlow {
             for factor in CONTINUATION {
                 self.solver.equations.viscosity = factor * own;
                 self.solver.forget();
-                found = self.settle(&shaped, &mut state);
+                found = self.settle(&shaped, &mut state, None);
                 if found.is_err() {
                     break;
                 }
@@ -97,7 +100,23 @@ impl SteadyFlow {
         found?;
         self.last = Some(state.clone());
         let derivatives = self.solver.equations.derivatives(&shaped.operators, &state, true);
-        Ok(Solution { shaped, state, derivatives })
+        self.corrected(Solution { shaped, state, derivatives, first: None })
+    }
+
+    /// The solution with slopes of third order that follows from one with slopes of second order, if the cloud has such fits.
+    fn corrected(&mut self, first: Solution) -> Result<Solution, NoSolution> {
+        let shaped = Arc::clone(&first.shaped);
+        let Some(third) = self.third(&shaped) else { return Ok(first) };
+        let defect = third.defect(&first.state, &first.derivatives);
+        let mut state = first.state.clone();
+        self.settle(&shaped, &mut state, Some(&defect))?;
+        let derivatives = self.solver.equations.derivatives(&shaped.operators, &state, true);
+        Ok(Solution { shaped, state, derivatives, first: Some(Box::new(first)) })
+    }
+
+    fn third(&self, shaped: &Shaped) -> Option<Third<'_>> {
+        let stencils = self.cloud.third.as_ref()?;
+        Some(Third::new(&self.solver.equations, stencils, &shaped.position))
     }
 
     /// A flow at rest takes no power, so it gets the force that a plane channel would need, and its flow.
@@ -110,13 +129,13 @@ impl SteadyFlow {
         let width = high[1] - low[1];
         let push = (12.0 * self.solver.equations.viscosity * power / (length * width.powi(3))).sqrt();
         state.drive = push - self.solver.equations.force[0];
-        self.solver.settle(&shaped.operators, state, None)
+        self.solver.settle(&shaped.operators, state, None, None)
     }
 
-    fn settle(&mut self, shaped: &Shaped, state: &mut State) -> Result<(), NoSteadyState> {
+    fn settle(&mut self, shaped: &Shaped, state: &mut State, defect: Option<&Defect>) -> Result<(), NoSteadyState> {
         let rate = Rate { measures: &self.measures, shaped };
         let held = self.held.as_ref().map(|held| (held, &rate as _));
-        self.solver.settle(&shaped.operators, state, held)
+        self.solver.settle(&shaped.operators, state, held, defect)
     }
 
     /// See [`Solver::growth`].
@@ -134,7 +153,7 @@ impl SteadyFlow {
 
     /// What figures are read from.
     pub fn at<'a>(&'a self, solution: &'a Solution) -> At<'a> {
-        let Solution { shaped, state, derivatives: d } = solution;
+        let Solution { shaped, state, derivatives: d, .. } = solution;
         At { equations: &self.solver.equations, shaped, state, d }
     }
 
@@ -169,7 +188,7 @@ impl SteadyFlow {
         mut bar: Bar,
         wanted: &[(usize, usize)],
     ) -> Result<Gradient, NoSolution> {
-        let Solution { shaped, state, derivatives } = solution;
+        let Solution { shaped, state, derivatives, first } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();
         let fields = self.solver.equations.by_fields(&shaped.operators, &bar);
@@ -190,6 +209,14 @@ impl SteadyFlow {
         }
         let positions = equations.by_positions(&shaped.position, state, &bar);
         let by_numbers = self.cloud.by_numbers(shaped, &positions, &bar, wanted, Some(0.0));
-        Ok(Gradient { by_numbers, by_viscosity: bar.viscosity })
+        let mut found = Gradient { by_numbers, by_viscosity: bar.viscosity };
+        if let (Some(first), Some(third)) = (first, self.third(shaped)) {
+            let before = (&first.state, &first.derivatives);
+            let bar = third.pull_back(&shaped.position, before, &against, heat.as_deref());
+            let more = self.pull_back(first, bar, wanted)?;
+            found.by_numbers.iter_mut().zip(more.by_numbers).for_each(|(to, more)| *to += more);
+            found.by_viscosity += more.by_viscosity;
+        }
+        Ok(found)
     }
 }

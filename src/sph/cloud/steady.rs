@@ -11,6 +11,7 @@
 //!
 //! A is singular where only the border fixes the pressure, so A + e e^T (e: the row of that pressure) is factorised.
 
+use super::deferred_correction::Defect;
 use super::equations::{Derivatives, Equations, State};
 use super::fit::Coefficients;
 use crate::numerics::eigenvalues::outermost;
@@ -270,11 +271,25 @@ impl Solver {
         border
     }
 
-    /// Residuals of flow (and heat) and border, `[3 N + m]` or `[4 N + m]`.
-    fn residual(&self, state: &State, d: &Derivatives, held: Option<(&Held, &dyn FlowRate)>) -> Vec<f64> {
+    /// Residual of the heat with what is added to it, `[N]`.
+    fn heat_residual(&self, state: &State, d: &Derivatives, defect: Option<&Defect>) -> Vec<f64> {
+        let mut residual = self.equations.heat_residual(state, d);
+        residual.iter_mut().zip(defect.iter().flat_map(|defect| &defect.heat)).for_each(|(r, more)| *r += more);
+        residual
+    }
+
+    /// Residuals of flow (and heat), with what is added to them, and border, `[3 N + m]` or `[4 N + m]`.
+    fn residual(
+        &self,
+        state: &State,
+        d: &Derivatives,
+        held: Option<(&Held, &dyn FlowRate)>,
+        defect: Option<&Defect>,
+    ) -> Vec<f64> {
         let mut residual = self.equations.flow_residual(state, d);
+        residual.iter_mut().zip(defect.iter().flat_map(|defect| &defect.flow)).for_each(|(r, more)| *r += more);
         if self.is_coupled() {
-            let heat = self.equations.heat_residual(state, d);
+            let heat = self.heat_residual(state, d, defect);
             residual = residual.chunks_exact(3).zip(heat).flat_map(|(row, t)| [row[0], row[1], row[2], t]).collect();
         }
         if !self.equations.gives_pressure() {
@@ -294,7 +309,7 @@ impl Solver {
     fn residual_at_rest(&self, state: &State, held: Option<(&Held, &dyn FlowRate)>) -> f64 {
         let n = self.equations.particles();
         let rest = State { drive: state.drive, ..State::at_rest(n) };
-        largest(&self.residual(&rest, &Derivatives::zeros(n), held)).max(f64::MIN_POSITIVE)
+        largest(&self.residual(&rest, &Derivatives::zeros(n), held, None)).max(f64::MIN_POSITIVE)
     }
 
     fn times(&self, border: &Border, x: &[f64], transposed: bool) -> Vec<f64> {
@@ -349,7 +364,7 @@ impl Solver {
         Ok(x)
     }
 
-    /// Finds the steady flow and its temperature, starting from `state`.
+    /// Finds the steady flow and its temperature, starting from `state`, with what is added to the residuals.
     ///
     /// # Errors
     /// No convergence.
@@ -358,6 +373,7 @@ impl Solver {
         operators: &Coefficients,
         state: &mut State,
         held: Option<(&Held, &dyn FlowRate)>,
+        defect: Option<&Defect>,
     ) -> Result<(), NoSteadyState> {
         let (n, s) = (self.equations.particles(), self.flow.size);
         // The first factors are those of a flow at rest, which are of no use for the next step.
@@ -366,14 +382,14 @@ impl Solver {
         let mut last = f64::INFINITY;
         for step in 0..STEPS {
             let d = self.equations.derivatives(operators, state, self.is_coupled());
-            let residual = self.residual(state, &d, held);
+            let residual = self.residual(state, &d, held, defect);
             let largest = largest(&residual);
             if !largest.is_finite() || largest > 1e12 {
                 return Err(NoSteadyState::Diverged { residual: largest });
             }
             // Below this rounding of second derivatives may keep it from falling.
             if largest <= TOLERANCE * scale || (largest <= 1e-8 * scale && largest > 0.2 * last) {
-                return if self.is_coupled() { Ok(()) } else { self.settle_heat(operators, state) };
+                return if self.is_coupled() { Ok(()) } else { self.settle_heat(operators, state, defect) };
             }
             last = largest;
             self.equations.flow_matrix(state, &d, operators, &mut self.flow);
@@ -397,7 +413,12 @@ impl Solver {
         Err(NoSteadyState::Diverged { residual: last })
     }
 
-    fn settle_heat(&mut self, operators: &Coefficients, state: &mut State) -> Result<(), NoSteadyState> {
+    fn settle_heat(
+        &mut self,
+        operators: &Coefficients,
+        state: &mut State,
+        defect: Option<&Defect>,
+    ) -> Result<(), NoSteadyState> {
         if self.equations.diffusivity.is_none() {
             return Ok(());
         }
@@ -405,7 +426,7 @@ impl Solver {
         let lu = SparseLu::new(&self.order, &self.heat, self.threads)?;
         for _ in 0..2 {
             let d = self.equations.derivatives(operators, state, true);
-            let right: Vec<f64> = self.equations.heat_residual(state, &d).iter().map(|x| -x).collect();
+            let right: Vec<f64> = self.heat_residual(state, &d, defect).iter().map(|x| -x).collect();
             let change = lu.solve(&right, false);
             state.fields[3].iter_mut().zip(change).for_each(|(t, change)| *t += change);
         }
