@@ -20,6 +20,7 @@ mod custom_scene;
 mod damaged_files;
 mod dataset;
 mod decomposition;
+mod deferred_correction;
 mod design;
 mod design_command;
 mod design_optimisers;

@@ -32,7 +32,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// The channel of data/reference/bodies-in-channel.csv with other keys and shapes behind it.
-fn channel(dx: f64, more: &str) -> String {
+pub(crate) fn channel(dx: f64, more: &str) -> String {
     format!(
         "scene = \"custom\"\nregion.size = [1.0, 0.4]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
          fluid.viscosity = 0.006\nfluid.conductivity = 0.006\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\n\
@@ -42,7 +42,7 @@ fn channel(dx: f64, more: &str) -> String {
     )
 }
 
-fn loaded(text: &str) -> Config {
+pub(crate) fn loaded(text: &str) -> Config {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("scene.toml");
     std::fs::write(&file, text).unwrap();
@@ -58,7 +58,7 @@ fn solved(text: &str) -> (AroundShapes, Solution) {
 }
 
 /// A body of the reference file as a shape.
-fn shape(kind: &str, numbers: &[f64]) -> String {
+pub(crate) fn shape(kind: &str, numbers: &[f64]) -> String {
     let list = |numbers: &[f64]| format!("{numbers:?}");
     let keys = match kind {
         "disc" => format!("radius = {}", numbers[2]),
@@ -279,7 +279,7 @@ fn outlines_run_counter_clockwise_and_their_slopes_are_their_derivatives() {
 }
 
 /// A flow with every kind of condition.
-const SIDES: &str = "scene = \"custom\"\nregion.size = [1.0, 0.5]\nregion.acceleration = [0.1, 0.2]\n\
+pub(crate) const SIDES: &str = "scene = \"custom\"\nregion.size = [1.0, 0.5]\nregion.acceleration = [0.1, 0.2]\n\
     region.sides.left = { kind = \"inflow\", velocity = [\"1 + y\", 0.1], temperature = \"y\" }\n\
     region.sides.right = { kind = \"outflow\" }\nregion.sides.top = { kind = \"symmetry\" }\n\
     region.sides.bottom = { kind = \"wall\", heat_flux = \"0.1 + x\" }\n\
