@@ -1,5 +1,6 @@
 //! Fixed particles around any shape: solver, fits, outlines, equations and their adjoint, and finite elements beside them.
 
+use crate::deferred_correction::corrected;
 use crate::support::differences::of_mean;
 use crate::support::noise::noise;
 use crate::support::program::{hydrograd, refused};
@@ -32,7 +33,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// The channel of data/reference/bodies-in-channel.csv with other keys and shapes behind it.
-pub(crate) fn channel(dx: f64, more: &str) -> String {
+fn channel(dx: f64, more: &str) -> String {
     format!(
         "scene = \"custom\"\nregion.size = [1.0, 0.4]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
          fluid.viscosity = 0.006\nfluid.conductivity = 0.006\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\n\
@@ -58,7 +59,7 @@ fn solved(text: &str) -> (AroundShapes, Solution) {
 }
 
 /// A body of the reference file as a shape.
-pub(crate) fn shape(kind: &str, numbers: &[f64]) -> String {
+fn shape(kind: &str, numbers: &[f64]) -> String {
     let list = |numbers: &[f64]| format!("{numbers:?}");
     let keys = match kind {
         "disc" => format!("radius = {}", numbers[2]),
@@ -551,7 +552,8 @@ fn derivatives_of_every_figure_are_differences_of_whole_solutions() {
     };
     let probes =
         "objective.terms = [{ kind = \"velocity-x\", at = [0.85, 0.21] }, { kind = \"pressure\", at = [0.5, 0.31] }]\n";
-    for (text, shape) in [(SIDES.to_string(), 0), (held, 2), (power, 2)] {
+    let more = [(corrected(SIDES), 0), (corrected(&power), 2)];
+    for (text, shape) in [(SIDES.to_string(), 0), (held, 2), (power, 2)].into_iter().chain(more) {
         let text = probes.to_string() + &text;
         let (mut around, solution) = solved(&text);
         let numbers = around.flow.cloud.numbers();

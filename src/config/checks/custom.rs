@@ -140,12 +140,7 @@ impl Config {
 
     /// Whether a steady flow of fixed particles around shapes is corrected by slopes of third order.
     pub fn is_corrected(&self) -> bool {
-        match self.method {
-            Method::Fixed(fixed) => {
-                fixed.deferred_correction && fixed.flow == FlowKind::Steady && self.region.size.len() == 2
-            }
-            _ => false,
-        }
+        matches!(self.method, Method::Fixed(fixed) if fixed.deferred_correction)
     }
 
     /// Whether the pressure of a flow in time around shapes follows from a speed of sound.

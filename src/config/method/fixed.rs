@@ -24,7 +24,7 @@ section! {
         pressure_diffusion: f64 = 0.1, Within(0.0, 1.0);
         flow: FlowKind = FlowKind::Steady;
         pressure: PressureKind = PressureKind::Incompressible;
-        deferred_correction: bool = true;
+        deferred_correction: bool = false;
         derivatives: Derivatives = Derivatives::Spectral;
         tolerance: f64 = 1e-3, Within(1e-9, 1.0);
     }
