@@ -122,7 +122,7 @@ fn corrected_flows_are_closer_to_finite_elements() {
 
 #[test]
 fn flows_that_cannot_be_corrected_are_refused_by_name() {
-    for (scene, set) in [("schaefer-turek-1", "method.flow=unsteady"), ("heated-channel", "method.name=fixed")] {
+    for (scene, set) in [("schaefer-turek-1", "method.flow=unsteady"), ("sphere-array", "resolution.dx=0.1")] {
         let sets = [set.to_string(), "method.deferred_correction=true".to_string()];
         let error = Config::load(Some(scene), None, &sets).err().unwrap().to_string();
         assert!(
