@@ -5,7 +5,7 @@ use crate::support::noise::noise;
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_flow::Around;
 use hydrograd::scene::around_shapes::AroundShapes;
-use hydrograd::sph::cloud::deferred_correction::Third;
+use hydrograd::sph::cloud::deferred_correction::ThirdOrder;
 use hydrograd::sph::cloud::equations::{Equations, State};
 use hydrograd::sph::cloud::figures::Figure;
 
@@ -32,7 +32,7 @@ fn slopes_of_cubic_flows_become_exact() {
     let mut state = State::at_rest(cloud.particles());
     state.fields = fields.clone().map(|(value, _)| value);
     let d = equations.derivatives(&shaped.operators, &state, true);
-    let third = Third::new(&equations, cloud.third.as_ref().unwrap(), &shaped.position);
+    let third = ThirdOrder::new(&equations, cloud.third.as_ref().unwrap(), &shaped.position);
     let defect = third.defect(&state, &d);
     let lacks = |f: usize, i: usize, e: usize| fields[f].1[i][e] - d.0[f][i][e];
     let mut largest = 0.0f64;
@@ -70,12 +70,12 @@ fn the_adjoint_of_what_is_added_is_that_of_differences() {
     let to_position: [Vec<f64>; 2] = std::array::from_fn(|_| drawn(n));
     let value = |equations: &Equations, state: &State, position: &[Vec<f64>; 2]| -> f64 {
         let d = equations.derivatives(&cloud.fits.coefficients(position), state, true);
-        let defect = Third::new(equations, cloud.third.as_ref().unwrap(), position).defect(state, &d);
+        let defect = ThirdOrder::new(equations, cloud.third.as_ref().unwrap(), position).defect(state, &d);
         let sum = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         sum(&flow, &defect.flow) + sum(&heat, &defect.heat)
     };
     let d = equations.derivatives(&shaped.operators, &state, true);
-    let third = Third::new(&equations, cloud.third.as_ref().unwrap(), &shaped.position);
+    let third = ThirdOrder::new(&equations, cloud.third.as_ref().unwrap(), &shaped.position);
     let bar = third.pull_back(&shaped.position, (&state, &d), &flow, Some(&heat));
     let along =
         |a: &[Vec<f64>], b: &[Vec<f64>]| a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum::<f64>();

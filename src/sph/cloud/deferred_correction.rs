@@ -7,19 +7,20 @@
 //!   R(x) + D(x0) = 0,   D(x0) = R3(x0) - R(x0),
 //! ```
 //!
-//! where R3 has the slopes of velocity, pressure and temperature by fits of third order to 36 neighbours. Both
-//! solutions have the matrix of second order, so the second one costs little, and the pressure cannot oscillate as it does in the solution
-//! of R3(x) = 0 (Fox 1947; Stetter 1978, "The defect correction principle and discretization methods").
+//! where R3 has the slopes of velocity, pressure and temperature by fits of third order to 36 neighbours. Both solutions have the matrix
+//! of second order, so the second one costs little, and its pressure does not oscillate as that of R3(x) = 0 does (Fox 1947; Stetter
+//! 1978, "The defect correction principle and discretization methods").
 //!
-//! Laplacians stay those of second order: with better ones figures become worse (measured
-//! around the bodies of `scripts/random_bodies.py figures --count 14 --seed 4242` and `--seed 9100` with 36 neighbours).
+//! Laplacians stay those of second order: with those of third order figures become worse (measured around the bodies of
+//! `scripts/random_bodies.py figures --count 14 --seed 4242` and `--seed 9100` with 36 neighbours).
 //!
 //! The derivative: with multipliers y of the second solution, R'(x)^T y = J', those of the first one are R'(x0)^T y0 = -D'(x0)^T y.
 
 use super::equations::{Bar, Derivatives, Equations, State};
 use super::fit::{Coefficients, Stencils, COEFFICIENTS};
 
-/// Neighbours of the fits of third order. (Measured as above: flow rates are 0.12 % off, in the root mean square, with 30, and 0.07 % with 36 and 44.)
+/// Neighbours of the fits of third order. (Measured as above, without tau S p in R3: flow rates are 0.12 % off, in the root mean square,
+/// with 30, and 0.07 % with 36 and 44.)
 pub const NEIGHBOURS: usize = 36;
 
 /// D of one state: what is added to the residuals of momentum and continuity, `[N, 3]`, and of heat, `[N]`.
@@ -30,13 +31,13 @@ pub struct Defect {
 }
 
 /// The fits of third order at one shape.
-pub struct Third<'a> {
+pub struct ThirdOrder<'a> {
     pub equations: &'a Equations,
     pub stencils: &'a Stencils,
     pub operators: Coefficients,
 }
 
-impl<'a> Third<'a> {
+impl<'a> ThirdOrder<'a> {
     /// Fits at positions `[2][N]`.
     pub fn new(equations: &'a Equations, stencils: &'a Stencils, position: &[Vec<f64>; 2]) -> Self {
         Self { equations, stencils, operators: stencils.coefficients(position) }
@@ -79,8 +80,8 @@ impl<'a> Third<'a> {
         let (equations, third) = (self.equations, self.derivatives(state, d));
         let new = || Bar::new(equations.particles(), equations.conditions.len());
         let (mut bar, mut better) = (new(), new());
-        let less = |rows: &[f64]| rows.iter().map(|row| -row).collect::<Vec<f64>>();
-        equations.pull_back(state, d, &less(flow), heat.map(less).as_deref(), &mut bar);
+        let negative = |rows: &[f64]| rows.iter().map(|row| -row).collect::<Vec<f64>>();
+        equations.pull_back(state, d, &negative(flow), heat.map(negative).as_deref(), &mut bar);
         equations.pull_back(state, &third, flow, heat, &mut better);
         // What both solutions carry: the fields themselves in u . grad.
         let heat = heat.filter(|_| equations.diffusivity.is_some());

@@ -1,6 +1,6 @@
 //! A steady flow around shapes as a function of their numbers: figures, and their exact derivatives.
 
-use super::deferred_correction::{Defect, Third};
+use super::deferred_correction::{Defect, ThirdOrder};
 use super::equations::{Bar, Derivatives, State};
 use super::figures::{Figure, MeasureSettings, Measures, Rate};
 use super::particles::{At, Cloud, Shaped, Unusable};
@@ -114,9 +114,9 @@ impl SteadyFlow {
         Ok(Solution { shaped, state, derivatives, first: Some(Box::new(first)) })
     }
 
-    fn third(&self, shaped: &Shaped) -> Option<Third<'_>> {
+    fn third(&self, shaped: &Shaped) -> Option<ThirdOrder<'_>> {
         let stencils = self.cloud.third.as_ref()?;
-        Some(Third::new(&self.solver.equations, stencils, &shaped.position))
+        Some(ThirdOrder::new(&self.solver.equations, stencils, &shaped.position))
     }
 
     /// A flow at rest takes no power, so it gets the force that a plane channel would need, and its flow.
