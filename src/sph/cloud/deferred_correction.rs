@@ -43,17 +43,12 @@ impl<'a> ThirdOrder<'a> {
         Self { equations, stencils, operators: stencils.coefficients(position) }
     }
 
-    /// u, v, p, and T with heat.
-    fn fields<'s>(&self, state: &'s State) -> Vec<&'s [f64]> {
-        let count = if self.equations.diffusivity.is_some() { 4 } else { 3 };
-        state.fields[..count].iter().map(Vec::as_slice).collect()
-    }
-
     /// Derivatives `d` of second order with slopes of third order.
     fn derivatives(&self, state: &State, d: &Derivatives) -> Derivatives {
         let mut third = d.clone();
         let n = self.equations.particles();
-        let slopes = self.operators.slopes::<2>(self.stencils, &self.fields(state), n);
+        let fields = state.in_use(self.equations.diffusivity.is_some());
+        let slopes = self.operators.slopes::<2>(self.stencils, &fields, n);
         for (to, slopes) in third.0.iter_mut().zip(slopes) {
             to.iter_mut().zip(slopes).for_each(|(to, slope)| to[..2].copy_from_slice(&slope));
         }
@@ -98,7 +93,7 @@ impl<'a> ThirdOrder<'a> {
                 (2..COEFFICIENTS).for_each(|k| own[k] += std::mem::take(&mut better[k]));
             }
         }
-        let fields = self.fields(state);
+        let fields = state.in_use(equations.diffusivity.is_some());
         let by_slopes = &better.derivatives.0[..fields.len()];
         for (to, by) in bar.fields.iter_mut().zip(by_slopes) {
             self.operators.pull_back(self.stencils, by, to);

@@ -73,6 +73,11 @@ impl<const F: usize> State<F> {
     pub fn at_rest(particles: usize) -> Self {
         Self { fields: std::array::from_fn(|_| vec![0.0; particles]), lambda: 0.0, drive: 0.0 }
     }
+
+    /// The fields that the equations have: all with heat, all but the temperature without.
+    pub fn in_use(&self, has_heat: bool) -> Vec<&[f64]> {
+        self.fields[..if has_heat { F } else { F - 1 }].iter().map(Vec::as_slice).collect()
+    }
 }
 
 /// The materials, forces and conditions of a flow at fixed particles.
@@ -510,9 +515,8 @@ impl Equations {
     /// The cotangents of the positions, given those of the derivatives.
     pub fn by_positions(&self, position: &[Vec<f64>; 2], state: &State, bar: &Bar) -> [Vec<f64>; 2] {
         let mut found = bar.position.clone();
-        let [u, v, p, t] = &state.fields;
-        let (fields, count): ([&[f64]; 4], _) = ([u, v, p, t], if self.diffusivity.is_some() { 4 } else { 3 });
-        self.fits.pull_back(position, &fields[..count], &bar.derivatives.0[..count], &mut found);
+        let fields = state.in_use(self.diffusivity.is_some());
+        self.fits.pull_back(position, &fields, &bar.derivatives.0[..fields.len()], &mut found);
         found
     }
 }

@@ -125,9 +125,8 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     }
 
     fn add_to(&self, sums: &mut Self::Sums, _position: &[Vec<f64>; 2], state: &State, bar: &Bar) {
-        let [u, v, p, t] = &state.fields;
-        let (all, count): ([&[f64]; 4], _) = ([u, v, p, t], if self.has_heat() { 4 } else { 3 });
-        sums.0.add(&self.solver.equations.fits.all, &all[..count], &bar.derivatives.0[..count]);
+        let fields = state.in_use(self.has_heat());
+        sums.0.add(&self.solver.equations.fits.all, &fields, &bar.derivatives.0[..fields.len()]);
         for (sums, bar) in sums.1.iter_mut().zip(&bar.position) {
             sums.iter_mut().zip(bar).for_each(|(sum, bar)| *sum += bar);
         }

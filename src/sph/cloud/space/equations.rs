@@ -251,9 +251,8 @@ impl Equations {
     /// The cotangents of the positions, given those of the derivatives.
     pub fn by_positions(&self, position: &[Vec<f64>; 3], state: &State, bar: &Bar) -> [Vec<f64>; 3] {
         let mut found = bar.position.clone();
-        let count = if self.diffusivity.is_some() { 5 } else { 4 };
-        let fields: Vec<&[f64]> = state.fields[..count].iter().map(Vec::as_slice).collect();
-        self.fits.pull_back(position, &fields, &bar.derivatives.0[..count], &mut found);
+        let fields = state.in_use(self.diffusivity.is_some());
+        self.fits.pull_back(position, &fields, &bar.derivatives.0[..fields.len()], &mut found);
         found
     }
 }
