@@ -33,7 +33,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// The channel of data/reference/bodies-in-channel.csv with other keys and shapes behind it.
-fn channel(dx: f64, more: &str) -> String {
+pub(crate) fn channel(dx: f64, more: &str) -> String {
     format!(
         "scene = \"custom\"\nregion.size = [1.0, 0.4]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
          fluid.viscosity = 0.006\nfluid.conductivity = 0.006\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\n\
@@ -59,7 +59,7 @@ fn solved(text: &str) -> (AroundShapes, Solution) {
 }
 
 /// A body of the reference file as a shape.
-fn shape(kind: &str, numbers: &[f64]) -> String {
+pub(crate) fn shape(kind: &str, numbers: &[f64]) -> String {
     let list = |numbers: &[f64]| format!("{numbers:?}");
     let keys = match kind {
         "disc" => format!("radius = {}", numbers[2]),
@@ -978,7 +978,7 @@ fn what_goes_through_a_line_around_a_body_is_that_of_exact_fields() {
         state.fields[2][i] = 1.0 - 0.5 * a * b * (x * x + y * y) + 2.0 * x - 3.0 * y;
         d.0[2][i] = [2.0 - a * b * x, -3.0 - a * b * y, -a * b, 0.0, -a * b, 0.0];
     }
-    let at = At { equations: &equations, shaped, state: &state, d: &d };
+    let at = At { equations: &equations, shaped, state: &state, d: &d, defect: None };
     for (k, area) in [(2, PI * 0.0064), (3, PI * 0.0045)] {
         let points: Vec<usize> = (0..shaped.area.len())
             .filter(|&j| around.flow.cloud.places.boundary[j].on.is_some_and(|(on, _)| on == k))
@@ -1218,7 +1218,10 @@ fn the_gradient_of_a_flow_in_time_is_that_of_differences() {
         (text.clone() + variables, "objective.kind = \"drag\"\n"),
         (text.clone() + variables, "objective.kind = \"shape-heat\"\n"),
         (turned.clone() + of_turned, "objective.kind = \"drag\"\n"),
+        (corrected(&periodic) + &of_periodic, "objective.kind = \"pressure-drop\"\n"),
         (periodic + &of_periodic, "objective.kind = \"pressure-drop\"\n"),
+        (corrected(&turned) + of_turned, "objective.kind = \"drag\"\n"),
+        (corrected(&text) + variables, "objective.kind = \"shape-heat\"\n"),
     ] {
         let around = AroundShapes::new(&loaded(&(objective.to_string() + &text))).unwrap();
         let first = around.first();

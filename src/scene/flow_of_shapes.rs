@@ -148,7 +148,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
     fn grid_back(&self, shaped: &Arc<Shaped>, state: &State, by: &[f64], bar: &mut Bar) {
         let derivatives = self.flow.solver.equations.derivatives(&shaped.operators, state, true);
         self.grid_velocity_back(
-            &Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None },
+            &Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None, defect: None },
             by,
             bar,
         );
@@ -168,6 +168,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
         let rate = Rate { measures: &self.flow.measures, shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
         March::new(cloud.equations(shaped), &cloud.places.place, &shaped.operators, held, threads::count())
+            .corrected(cloud.lagged(shaped))
     }
 
     fn medium<'a>(&'a self, shaped: &'a Shaped) -> Medium<'a, 2, COEFFICIENTS> {
@@ -189,7 +190,9 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
     fn seen(&self, shaped: &Arc<Shaped>, _: f64, state: &State) -> Solution {
         let (equations, read_at) = (&self.flow.solver.equations, self.flow.measures.read_at());
         let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
-        Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None }
+        let lagged = self.flow.cloud.lagged(shaped);
+        let defect = lagged.map(|lagged| lagged.defect((equations, &shaped.operators), state));
+        Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None, defect }
     }
 
     fn pull_back(&self, figure: Figure, solution: &Solution, weight: f64, bar: &mut Bar) {

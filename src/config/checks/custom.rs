@@ -138,7 +138,7 @@ impl Config {
         }
     }
 
-    /// Whether a steady flow of fixed particles around shapes is corrected by slopes of third order.
+    /// Whether the flow of fixed particles around shapes is corrected by slopes of third order.
     pub fn is_corrected(&self) -> bool {
         matches!(self.method, Method::Fixed(fixed) if fixed.deferred_correction)
     }

@@ -213,11 +213,11 @@ impl Config {
                 .allowed("incompressible; weakly-compressible with method.flow = unsteady in a scene of your own that is not all periodic")
                 .advice(format!("{}method.pressure=incompressible", if can_be { "method.flow=unsteady, or " } else { "" })));
         }
-        if self.is_corrected() && (!self.is_around_shapes() || self.unsteady().is_some() || self.dimension() != 2) {
+        if self.is_corrected() && (!self.is_around_shapes() || self.has_sound() || self.dimension() != 2) {
             let problem =
-                "method.deferred_correction = true, which a steady flow around shapes in the plane can have, and this is none";
+                "method.deferred_correction = true, which an incompressible flow around shapes in the plane can have, and this is none";
             return Err(BadInput::at("method.deferred_correction", problem)
-                .allowed("false; true with method.flow = steady in a scene of your own in two dimensions")
+                .allowed("false; true with method.pressure = incompressible in a scene of your own in two dimensions")
                 .advice("method.deferred_correction=false"));
         }
         if self.resolution.kernel == KernelName::SuperGaussian && !self.is_periodic() {

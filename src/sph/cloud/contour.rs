@@ -8,7 +8,8 @@
 //! ```
 //!
 //! In a flow that is not steady, what the fluid within C keeps is missing. Of momentum it follows from what is on C, too, since div u = 0
-//! and no fluid goes through the body's surface (du/dt by the equation of momentum, r from a point within the body):
+//! and no fluid goes through the body's surface (du/dt by the equation of momentum, with what [`super::deferred_correction`] adds to it, r
+//! from a point within the body):
 //!
 //! ```text
 //!   force = int_C (t - u u.n - r du/dt . n) + f A.
@@ -282,13 +283,20 @@ impl Contour {
         let ([u, v], dp) = (at.velocity(i), &at.d.0[2][i]);
         std::array::from_fn(|e| {
             let d = &at.d.0[e][i];
-            body_force[e] - u * d[0] - v * d[1] - dp[e] + nu * (d[2] + d[4])
+            let lacks = at.defect.map_or(0.0, |defect| defect.flow[3 * i + e]);
+            body_force[e] - u * d[0] - v * d[1] - dp[e] + nu * (d[2] + d[4]) - lacks
         })
     }
 
     fn acceleration_back(at: &At<'_>, corner: Corner, of: [f64; 2], bar: &mut Bar) {
         let (i, nu) = (corner.particle, at.equations.viscosity);
         let [u, v] = at.velocity(i);
+        if at.defect.is_some() {
+            bar.defect.resize(at.equations.inside, [0.0; 2]);
+            if let Some(to) = bar.defect.get_mut(i) {
+                (0..2).for_each(|e| to[e] -= of[e]);
+            }
+        }
         for e in 0..2 {
             let d = &at.d.0[e][i];
             bar.fields[0][i] -= of[e] * d[0];

@@ -1,6 +1,6 @@
-//! Slopes of third order in a steady flow, by deferred correction.
+//! Slopes of third order, by deferred correction.
 //!
-//! A flow is first solved for with fits of second order, R(x0) = 0 ([`super::equations`]), and then once more with what the slopes of
+//! A steady flow is first solved for with fits of second order, R(x0) = 0 ([`super::equations`]), and then once more with what the slopes of
 //! x0 lack,
 //!
 //! ```text
@@ -14,10 +14,22 @@
 //! Laplacians stay those of second order: with those of third order figures become worse (measured around the bodies of
 //! `scripts/random_bodies.py figures --count 14 --seed 4242` and `--seed 9100` with 36 neighbours).
 //!
-//! The derivative: with multipliers y of the second solution, R'(x)^T y = J', those of the first one are R'(x0)^T y0 = -D'(x0)^T y.
+//! In time ([`super::unsteady`]) a step has D of the state before it, in momentum and heat inside and in continuity everywhere, smoothed:
+//! with A x+ = b(x, x-) the step of second order and G the means of [`super::smoothing`],
+//!
+//! ```text
+//!   A x+ = b(x, x-) - G D(x),
+//! ```
+//!
+//! and a flow that becomes steady solves R(x) + G D(x) = 0. Without G what changes from particle to particle grows, for R hardly sees it.
+//! D is of second order, so G and the state before change it by less than the other errors of a step are.
+//!
+//! The derivative of steady flows: with multipliers y of the second solution, R'(x)^T y = J', those of the first one are R'(x0)^T y0 = -D'(x0)^T y.
 
 use super::equations::{Bar, Derivatives, Equations, State};
 use super::fit::{Coefficients, Stencils, COEFFICIENTS};
+use super::fit_adjoint::PairCotangents;
+use super::smoothing::Smoothing;
 
 /// Neighbours of the fits of third order. (Measured as above, without tau S p in R3: flow rates are 0.12 % off, in the root mean square,
 /// with 30, and 0.07 % with 36 and 44.)
@@ -34,15 +46,10 @@ pub struct Defect {
 pub struct ThirdOrder<'a> {
     pub equations: &'a Equations,
     pub stencils: &'a Stencils,
-    pub operators: Coefficients,
+    pub operators: &'a Coefficients,
 }
 
-impl<'a> ThirdOrder<'a> {
-    /// Fits at positions `[2][N]`.
-    pub fn new(equations: &'a Equations, stencils: &'a Stencils, position: &[Vec<f64>; 2]) -> Self {
-        Self { equations, stencils, operators: stencils.coefficients(position) }
-    }
-
+impl ThirdOrder<'_> {
     /// Derivatives `d` of second order with slopes of third order.
     fn derivatives(&self, state: &State, d: &Derivatives) -> Derivatives {
         let mut third = d.clone();
@@ -100,5 +107,108 @@ impl<'a> ThirdOrder<'a> {
         }
         self.stencils.pull_back(position, &fields, by_slopes, &mut bar.position);
         bar
+    }
+}
+
+/// What steps in time lack: that of the last state in momentum and heat inside and in continuity, smoothed.
+pub struct Lagged<'a> {
+    pub stencils: &'a Stencils,
+    pub operators: &'a Coefficients,
+    /// Means among particles inside, and among all.
+    pub smoothing: &'a [Smoothing; 2],
+}
+
+/// The equations, and the coefficients of their fits of second order.
+type Second<'a> = (&'a Equations, &'a Coefficients);
+
+impl Lagged<'_> {
+    /// What the slopes of second order of u, v, p and, with heat, T lack, `[fields][N]`.
+    fn lacking(&self, (equations, second): Second<'_>, state: &State) -> Vec<Vec<[f64; 2]>> {
+        let (n, fields) = (equations.particles(), state.in_use(equations.diffusivity.is_some()));
+        let mut found = self.operators.slopes::<2>(self.stencils, &fields, n);
+        for (field, own) in found.iter_mut().zip(second.slopes::<2>(&equations.fits.all, &fields, n)) {
+            for (to, own) in field.iter_mut().zip(own) {
+                (0..2).for_each(|e| to[e] -= own[e]);
+            }
+        }
+        found
+    }
+
+    /// D of a state.
+    pub fn defect(&self, second: Second<'_>, state: &State) -> Defect {
+        let ((equations, _), [u, v, ..]) = (second, &state.fields);
+        let (n, lacking) = (equations.particles(), self.lacking(second, state));
+        let carried = |f: usize, i: usize| u[i] * lacking[f][i][0] + v[i] * lacking[f][i][1];
+        let heat = |i: usize| if equations.diffusivity.is_some() { carried(3, i) } else { 0.0 };
+        let momentum = |i: usize, e: usize| carried(e, i) + lacking[2][i][e];
+        let mut inside: Vec<_> = (0..equations.inside).map(|i| [momentum(i, 0), momentum(i, 1), heat(i)]).collect();
+        let mut continuity: Vec<_> = (0..n).map(|i| [lacking[0][i][0] + lacking[1][i][1]]).collect();
+        self.smoothing[0].apply(&mut inside);
+        self.smoothing[1].apply(&mut continuity);
+        let mut found = Defect { flow: vec![0.0; 3 * n], heat: vec![0.0; n] };
+        continuity.iter().enumerate().for_each(|(i, [continuity])| found.flow[3 * i + 2] = *continuity);
+        for (i, [x, y, heat]) in inside.into_iter().enumerate() {
+            (found.flow[3 * i], found.flow[3 * i + 1], found.heat[i]) = (x, y, heat);
+        }
+        found
+    }
+
+    /// Adds the cotangents of the state's fields and of its slopes of second order, given those of D, and returns those of the
+    /// slopes of third order, `[fields][N]`.
+    pub fn pull_back(
+        &self,
+        second: Second<'_>,
+        state: &State,
+        bar: &Defect,
+        fields: &mut [Vec<f64>; 4],
+        derivatives: &mut Derivatives,
+    ) -> Vec<Vec<[f64; 2]>> {
+        let ((equations, operators), [u, v, ..]) = (second, &state.fields);
+        let (n, lacking) = (equations.particles(), self.lacking(second, state));
+        let heat = |i: usize| bar.heat.get(i).copied().unwrap_or(0.0);
+        let mut inside: Vec<_> =
+            (0..equations.inside).map(|i| [bar.flow[3 * i], bar.flow[3 * i + 1], heat(i)]).collect();
+        let mut continuity: Vec<_> = (0..n).map(|i| [bar.flow[3 * i + 2]]).collect();
+        self.smoothing[0].transposed(&mut inside);
+        self.smoothing[1].transposed(&mut continuity);
+        let mut slopes = vec![vec![[0.0; 2]; n]; lacking.len()];
+        for (i, [continuity]) in continuity.into_iter().enumerate() {
+            slopes[0][i][0] += continuity;
+            slopes[1][i][1] += continuity;
+        }
+        for (i, [x, y, heat]) in inside.into_iter().enumerate() {
+            for (f, row) in [(0, x), (1, y), (3, heat)].into_iter().filter(|(f, _)| *f < lacking.len()) {
+                for (e, along) in [u[i], v[i]].into_iter().enumerate() {
+                    slopes[f][i][e] += row * along;
+                    fields[e][i] += row * lacking[f][i][e];
+                }
+            }
+            slopes[2][i][0] += x;
+            slopes[2][i][1] += y;
+        }
+        let third = self.operators.slopes_back(self.stencils, &slopes);
+        let own = operators.slopes_back(&equations.fits.all, &slopes);
+        for (f, (third, own)) in third.into_iter().zip(own).enumerate() {
+            fields[f].iter_mut().zip(third.iter().zip(own)).for_each(|(to, (third, own))| *to += third - own);
+            for (to, slopes) in derivatives.0[f].iter_mut().zip(&slopes[f]) {
+                (0..2).for_each(|e| to[e] -= slopes[e]);
+            }
+        }
+        slopes
+    }
+
+    /// No cotangents of coefficients of third order.
+    pub fn sums(&self) -> PairCotangents {
+        PairCotangents::zeros(self.stencils)
+    }
+
+    /// Adds what a state has of them, given the cotangents of its slopes.
+    pub fn add_to(&self, sums: &mut PairCotangents, fields: &[&[f64]], slopes: &[Vec<[f64; 2]>]) {
+        sums.add(self.stencils, fields, slopes);
+    }
+
+    /// Adds what positions have of them.
+    pub fn by_sums(&self, position: &[Vec<f64>; 2], sums: &PairCotangents, to: &mut [Vec<f64>; 2]) {
+        self.stencils.pull_back_pairs(position, sums, to);
     }
 }

@@ -437,6 +437,8 @@ pub struct Bar<const D: usize = 2, const F: usize = 4, const C: usize = COEFFICI
     pub volume: f64,
     /// Of the x and y of shapes' centres, with the shape.
     pub centres: Vec<(usize, [f64; 2])>,
+    /// Of what slopes lack in the momentum inside ([`super::deferred_correction`]), `[inside]`, or empty.
+    pub defect: Vec<[f64; D]>,
 }
 
 impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
@@ -450,6 +452,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
             viscosity: 0.0,
             volume: 0.0,
             centres: vec![],
+            defect: vec![],
         }
     }
 
@@ -496,6 +499,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
         self.position.iter_mut().chain(&mut self.fields).for_each(|field| field.fill(0.0));
         (self.drive, self.viscosity, self.volume) = (0.0, 0.0, 0.0);
         self.centres.clear();
+        self.defect.clear();
     }
 }
 

@@ -591,14 +591,14 @@ pub struct Rate<'a> {
 
 impl FlowRate for Rate<'_> {
     fn value(&self, equations: &Equations, state: &State, d: &Derivatives) -> f64 {
-        self.measures.value(Figure::FlowRate, &At { equations, shaped: self.shaped, state, d })
+        self.measures.value(Figure::FlowRate, &At { equations, shaped: self.shaped, state, d, defect: None })
     }
 
     fn by_state(&self, equations: &Equations, operators: &Coefficients) -> Vec<f64> {
         let n = equations.particles();
         let state = State::at_rest(n);
         let d = Derivatives::zeros(n);
-        let at = At { equations, shaped: self.shaped, state: &state, d: &d };
+        let at = At { equations, shaped: self.shaped, state: &state, d: &d, defect: None };
         let mut bar = Bar::new(n, self.shaped.area.len());
         self.measures.pull_back(Figure::FlowRate, &at, 1.0, &mut bar);
         let fields = equations.by_fields(operators, &bar);

@@ -20,14 +20,19 @@ impl<const C: usize> PairCotangents<C> {
         Self { value: vec![0.0; stencils.list.len() * C] }
     }
 
-    /// Adds those of fields `[N]`, given the cotangents of all derivatives and S of each, `[fields][N][C]`.
+    /// Adds those of fields `[N]`, given the cotangents of all derivatives and S of each, or of the first B of them, `[fields][N][B]`.
     ///
     /// # Panics
     /// More than five fields.
-    pub fn add<const D: usize>(&mut self, stencils: &Stencils<D>, fields: &[&[f64]], bar: &[Vec<[f64; C]>]) {
+    pub fn add<const D: usize, const B: usize>(
+        &mut self,
+        stencils: &Stencils<D>,
+        fields: &[&[f64]],
+        bar: &[Vec<[f64; B]>],
+    ) {
         assert!(fields.len() <= FIELDS);
         let padded: Vec<Vec<f64>> = fields.iter().map(|field| stencils.padded_field(field)).collect();
-        run_parts(&Collect { stencils, fields: &padded, bar }, stencils.parts(&mut self.value, C));
+        run_parts(&Collect::<D, B, C> { stencils, fields: &padded, bar }, stencils.parts(&mut self.value, C));
     }
 }
 
@@ -66,26 +71,26 @@ impl<const C: usize> PairCotangents<C> {
 /// Fields of a flow in space: three velocities, pressure and temperature.
 const FIELDS: usize = 5;
 
-struct Collect<'a, const D: usize, const C: usize> {
+struct Collect<'a, const D: usize, const B: usize, const C: usize> {
     stencils: &'a Stencils<D>,
     fields: &'a [Vec<f64>],
-    bar: &'a [Vec<[f64; C]>],
+    bar: &'a [Vec<[f64; B]>],
 }
 
-impl<'a, const D: usize, const C: usize> PartKernel<f64> for Collect<'a, D, C> {
+impl<'a, const D: usize, const B: usize, const C: usize> PartKernel<f64> for Collect<'a, D, B, C> {
     type Part = &'a mut [f64];
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
         let (stencils, count) = (self.stencils, self.fields.len());
         for l in (0..WIDEST).step_by(L::COUNT) {
-            let mut numbers = [[[0.0; WIDEST]; C]; FIELDS];
+            let mut numbers = [[[0.0; WIDEST]; B]; FIELDS];
             for f in 0..count {
                 for lane in 0..L::COUNT {
                     let i = block * WIDEST + l + lane;
                     if i < stencils.particles {
                         let bar = &self.bar[f][i];
-                        for a in 0..C {
+                        for a in 0..B {
                             numbers[f][a][lane] = bar[a];
                         }
                     }
@@ -94,13 +99,13 @@ impl<'a, const D: usize, const C: usize> PartKernel<f64> for Collect<'a, D, C> {
             for k in 0..stencils.count(block * WIDEST) {
                 let place = (stencils.first[block] + k) * WIDEST + l;
                 let to = k * C * WIDEST + l;
-                let mut sums: [L; C] = array(|a| L::load_part(&part[to + a * WIDEST..]));
+                let mut sums: [L; B] = array(|a| L::load_part(&part[to + a * WIDEST..]));
                 for f in 0..count {
                     let field = &self.fields[f];
                     // SAFETY: the tables have whole blocks, and the list names particles.
                     let other = unsafe { L::gather(field.as_ptr(), stencils.list.as_ptr().add(place)) };
                     let difference = other - L::load_part(&field[block * WIDEST + l..]);
-                    for a in 0..C {
+                    for a in 0..B {
                         sums[a] = L::load_part(&numbers[f][a]).mul_add(difference, sums[a]);
                     }
                 }
@@ -192,17 +197,12 @@ in_dimension!(3, COEFFICIENTS_3D);
 const PARTS: usize = 4;
 
 impl<const C: usize> Coefficients<C> {
-    /// The cotangents of fields `[N]` by the slopes in u . grad of each at the first particles, `weight`: `[fields][count]`.
-    pub fn carried_back<const D: usize>(
-        &self,
-        stencils: &Stencils<D>,
-        velocity: &[&[f64]; D],
-        weight: &[Vec<f64>],
-    ) -> Vec<Vec<f64>> {
-        let (n, count) = (stencils.particles, weight.first().map_or(0, Vec::len));
+    /// The cotangents of fields `[N]` by those of their slopes at the first particles, `[fields][count]`.
+    pub fn slopes_back<const D: usize>(&self, stencils: &Stencils<D>, slopes: &[Vec<[f64; D]>]) -> Vec<Vec<f64>> {
+        let (n, count) = (stencils.particles, slopes.first().map_or(0, Vec::len));
         let share = count.div_ceil(WIDEST).div_ceil(PARTS) * WIDEST;
-        let mut sums = vec![vec![vec![0.0; n]; weight.len()]; PARTS];
-        run_parts(&Carried { coefficients: self, stencils, velocity, weight, share }, sums.iter_mut());
+        let mut sums = vec![vec![vec![0.0; n]; slopes.len()]; PARTS];
+        run_parts(&SlopesBack { coefficients: self, stencils, slopes, share }, sums.iter_mut());
         let mut parts = sums.into_iter();
         let mut all = parts.next().unwrap_or_default();
         for (to, from) in parts.flat_map(|part| part.into_iter().enumerate()) {
@@ -212,32 +212,31 @@ impl<const C: usize> Coefficients<C> {
     }
 }
 
-struct Carried<'a, const D: usize, const C: usize> {
+struct SlopesBack<'a, const D: usize, const C: usize> {
     coefficients: &'a Coefficients<C>,
     stencils: &'a Stencils<D>,
-    velocity: &'a [&'a [f64]; D],
-    weight: &'a [Vec<f64>],
+    slopes: &'a [Vec<[f64; D]>],
     /// Particles of a part.
     share: usize,
 }
 
-impl<'a, const D: usize, const C: usize> PartKernel<f64> for Carried<'a, D, C> {
+impl<'a, const D: usize, const C: usize> PartKernel<f64> for SlopesBack<'a, D, C> {
     /// `[fields][N]`.
     type Part = &'a mut Vec<Vec<f64>>;
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, number: usize, part: &mut Self::Part) {
-        let (stencils, count) = (self.stencils, self.weight[0].len());
+        let (stencils, count) = (self.stencils, self.slopes[0].len());
         for i in number * self.share..count.min((number + 1) * self.share) {
             for k in 0..stencils.count(i) {
-                let slope = self.coefficients.slope::<D>(i, k);
-                let (mut along, j) = (0.0, stencils.neighbour(i, k));
-                for e in 0..D {
-                    along += self.velocity[e][i] * slope[e];
-                }
-                for (weight, to) in self.weight.iter().zip(part.iter_mut()) {
-                    to[j] += along * weight[i];
-                    to[i] -= along * weight[i];
+                let (c, j) = (self.coefficients.slope::<D>(i, k), stencils.neighbour(i, k));
+                for (slopes, to) in self.slopes.iter().zip(part.iter_mut()) {
+                    let mut sum = 0.0;
+                    for e in 0..D {
+                        sum += c[e] * slopes[i][e];
+                    }
+                    to[j] += sum;
+                    to[i] -= sum;
                 }
             }
         }

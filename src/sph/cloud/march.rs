@@ -1,5 +1,6 @@
 //! Steps in time in the plane: solutions with the factors of one matrix for each size, see [`super::unsteady`].
 
+use super::deferred_correction::{Defect, Lagged};
 use super::equations::{Bar, Derivatives, Equations, State};
 use super::fit::{Coefficients, Stencils, COEFFICIENTS};
 use super::fit_adjoint::PairCotangents;
@@ -36,6 +37,14 @@ pub struct March<'a> {
     /// tau of a steady flow.
     damping: Vec<f64>,
     factorisations: usize,
+    correction: Option<Lagged<'a>>,
+}
+
+/// Cotangents of the coefficients of all derivatives, of those of third order, and of positions themselves.
+pub struct Sums {
+    second: PairCotangents,
+    third: Option<PairCotangents>,
+    position: [Vec<f64>; 2],
 }
 
 impl<'a> March<'a> {
@@ -50,7 +59,22 @@ impl<'a> March<'a> {
         let damping = equations.damping.clone();
         let solver = Solver::of_size(equations, places, 3, threads);
         let border = solver.border_at_rest(operators, held);
-        Self { solver, operators, kept: vec![], border, drives: held.is_some(), damping, factorisations: 0 }
+        Self {
+            solver,
+            operators,
+            kept: vec![],
+            border,
+            drives: held.is_some(),
+            damping,
+            factorisations: 0,
+            correction: None,
+        }
+    }
+
+    /// With what the slopes of the last state lack.
+    pub fn corrected(mut self, correction: Option<Lagged<'a>>) -> Self {
+        self.correction = correction;
+        self
     }
 
     /// The factors for a0 / dt.
@@ -116,25 +140,50 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         self.solver.equations.by_fields(self.operators, bar)
     }
 
-    /// Cotangents of the coefficients of all derivatives, and of positions themselves.
-    type Sums = (PairCotangents, [Vec<f64>; 2]);
+    type Sums = Sums;
 
-    fn sums(&self) -> Self::Sums {
-        let pairs = PairCotangents::zeros(&self.solver.equations.fits.all);
-        (pairs, std::array::from_fn(|_| vec![0.0; self.particles()]))
+    fn sums(&self) -> Sums {
+        Sums {
+            second: PairCotangents::zeros(&self.solver.equations.fits.all),
+            third: self.correction.as_ref().map(Lagged::sums),
+            position: std::array::from_fn(|_| vec![0.0; self.particles()]),
+        }
     }
 
-    fn add_to(&self, sums: &mut Self::Sums, _position: &[Vec<f64>; 2], state: &State, bar: &Bar) {
+    fn add_to(&self, sums: &mut Sums, _position: &[Vec<f64>; 2], state: &State, bar: &Bar) {
         let fields = state.in_use(self.has_heat());
-        sums.0.add(&self.solver.equations.fits.all, &fields, &bar.derivatives.0[..fields.len()]);
-        for (sums, bar) in sums.1.iter_mut().zip(&bar.position) {
+        sums.second.add(&self.solver.equations.fits.all, &fields, &bar.derivatives.0[..fields.len()]);
+        for (sums, bar) in sums.position.iter_mut().zip(&bar.position) {
             sums.iter_mut().zip(bar).for_each(|(sum, bar)| *sum += bar);
         }
     }
 
-    fn by_sums(&self, position: &[Vec<f64>; 2], (pairs, mut found): Self::Sums) -> [Vec<f64>; 2] {
-        self.solver.equations.fits.pull_back_pairs(position, pairs, &mut found);
+    fn by_sums(&self, position: &[Vec<f64>; 2], sums: Sums) -> [Vec<f64>; 2] {
+        let mut found = sums.position;
+        self.solver.equations.fits.pull_back_pairs(position, sums.second, &mut found);
+        if let (Some(correction), Some(third)) = (&self.correction, &sums.third) {
+            correction.by_sums(position, third, &mut found);
+        }
         found
+    }
+
+    fn defect(&self, state: &State) -> Option<Defect> {
+        let correction = self.correction.as_ref()?;
+        Some(correction.defect((&self.solver.equations, self.operators), state))
+    }
+
+    fn pull_back_defect(
+        &self,
+        sums: &mut Sums,
+        state: &State,
+        defect: &Defect,
+        fields: &mut [Vec<f64>; 4],
+        bar: &mut Bar,
+    ) {
+        let (Some(correction), Some(third)) = (&self.correction, &mut sums.third) else { return };
+        let second = (&self.solver.equations, self.operators);
+        let slopes = correction.pull_back(second, state, defect, fields, &mut bar.derivatives);
+        correction.add_to(third, &state.in_use(self.has_heat()), &slopes);
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {

@@ -1,7 +1,7 @@
 //! A cloud of fixed particles around shapes, and how it depends on their numbers.
 
 use super::conditions::Conditions;
-use super::deferred_correction;
+use super::deferred_correction::{self, Defect, Lagged};
 use super::deformation::Deformation;
 use super::equations::{damping, Bar, BoundaryBar, Condition, Derivatives, Equations, Motion, State, Warmth};
 use super::fit::{Coefficients, Stencils};
@@ -9,6 +9,7 @@ use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
 use super::outline::seeded;
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
+use super::smoothing::Smoothing;
 use super::wall_fit::{self, WallFit};
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::fmt::Debug;
@@ -63,6 +64,8 @@ pub struct Cloud {
     pub fits: Arc<Fits>,
     /// Fits of third order, where steady flows are corrected by their slopes.
     pub third: Option<Stencils>,
+    /// Means among particles inside, and among all, with them.
+    pub means: Option<[Smoothing; 2]>,
     /// Of each point of the boundary that is on no body, with heat.
     pub wall_fits: Vec<Option<WallFit>>,
     pub surroundings: Arc<dyn Surroundings>,
@@ -81,6 +84,8 @@ pub struct Shaped {
     pub area: Vec<[f64; 2]>,
     pub conditions: Vec<Condition>,
     pub operators: Coefficients,
+    /// Those of the fits of third order.
+    pub third: Option<Coefficients>,
 }
 
 /// State and derivatives at one shape.
@@ -89,6 +94,8 @@ pub struct At<'a> {
     pub shaped: &'a Shaped,
     pub state: &'a State,
     pub d: &'a Derivatives,
+    /// What slopes lack, in a flow in time whose steps have it.
+    pub defect: Option<&'a Defect>,
 }
 
 impl At<'_> {
@@ -275,12 +282,20 @@ impl Cloud {
         let operators = stencils.coefficients(&position);
         let deformation = Deformation::new(&stencils, &operators, &places.place, places.inside, threads)
             .map_err(|_| Unusable::Singular)?;
+        let counts = [places.inside, places.place.len()];
+        let means = third.as_ref().map(|_| counts.map(|count| Smoothing::new(&stencils, count)));
         let fits = Arc::new(Fits::of_one(stencils));
-        Ok(Self { ground, places, fluid, deformation, fits, third, wall_fits, surroundings })
+        Ok(Self { ground, places, fluid, deformation, fits, third, means, wall_fits, surroundings })
     }
 
     pub fn particles(&self) -> usize {
         self.places.place.len()
+    }
+
+    /// What steps in time lack, if flows are corrected.
+    pub fn lagged<'a>(&'a self, shaped: &'a Shaped) -> Option<Lagged<'a>> {
+        let (stencils, operators, smoothing) = (self.third.as_ref()?, shaped.third.as_ref()?, self.means.as_ref()?);
+        Some(Lagged { stencils, operators, smoothing })
     }
 
     /// The numbers of all shapes in the reference cloud.
@@ -348,7 +363,8 @@ impl Cloud {
         let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
         let operators = self.fits.coefficients(&position);
         let centre = self.ground.outlines.iter().zip(numbers).map(|(outline, s)| outline.centre(s)).collect();
-        Ok(Shaped { numbers: numbers.to_vec(), centre, position, area, conditions, operators })
+        let third = self.third.as_ref().map(|stencils| stencils.coefficients(&position));
+        Ok(Shaped { numbers: numbers.to_vec(), centre, position, area, conditions, operators, third })
     }
 
     /// The derivative by the numbers `wanted` (shape, number), given all cotangents of positions and boundary. `time`: of conditions that

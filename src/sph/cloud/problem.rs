@@ -24,6 +24,8 @@ pub struct Solution {
     pub derivatives: Derivatives,
     /// The solution that it corrects, where slopes are of third order ([`super::deferred_correction`]).
     pub first: Option<Box<Solution>>,
+    /// What slopes lack, in a flow in time whose steps have it.
+    pub defect: Option<Defect>,
 }
 
 /// The derivative of figures of a flow.
@@ -100,7 +102,7 @@ impl SteadyFlow {
         found?;
         self.last = Some(state.clone());
         let derivatives = self.solver.equations.derivatives(&shaped.operators, &state, true);
-        self.corrected(Solution { shaped, state, derivatives, first: None })
+        self.corrected(Solution { shaped, state, derivatives, first: None, defect: None })
     }
 
     /// The solution with slopes of third order that follows from one with slopes of second order, if the cloud has such fits.
@@ -111,12 +113,12 @@ impl SteadyFlow {
         let mut state = first.state.clone();
         self.settle(&shaped, &mut state, Some(&defect))?;
         let derivatives = self.solver.equations.derivatives(&shaped.operators, &state, true);
-        Ok(Solution { shaped, state, derivatives, first: Some(Box::new(first)) })
+        Ok(Solution { shaped, state, derivatives, first: Some(Box::new(first)), defect: None })
     }
 
-    fn third(&self, shaped: &Shaped) -> Option<ThirdOrder<'_>> {
-        let stencils = self.cloud.third.as_ref()?;
-        Some(ThirdOrder::new(&self.solver.equations, stencils, &shaped.position))
+    fn third<'a>(&'a self, shaped: &'a Shaped) -> Option<ThirdOrder<'a>> {
+        let (stencils, operators) = (self.cloud.third.as_ref()?, shaped.third.as_ref()?);
+        Some(ThirdOrder { equations: &self.solver.equations, stencils, operators })
     }
 
     /// A flow at rest takes no power, so it gets the force that a plane channel would need, and its flow.
@@ -153,8 +155,8 @@ impl SteadyFlow {
 
     /// What figures are read from.
     pub fn at<'a>(&'a self, solution: &'a Solution) -> At<'a> {
-        let Solution { shaped, state, derivatives: d, .. } = solution;
-        At { equations: &self.solver.equations, shaped, state, d }
+        let Solution { shaped, state, derivatives: d, defect, .. } = solution;
+        At { equations: &self.solver.equations, shaped, state, d, defect: defect.as_ref() }
     }
 
     pub fn value(&self, solution: &Solution, figure: Figure) -> f64 {
@@ -188,7 +190,7 @@ impl SteadyFlow {
         mut bar: Bar,
         wanted: &[(usize, usize)],
     ) -> Result<Gradient, NoSolution> {
-        let Solution { shaped, state, derivatives, first } = solution;
+        let Solution { shaped, state, derivatives, first, .. } = solution;
         self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();
         let fields = self.solver.equations.by_fields(&shaped.operators, &bar);

@@ -18,6 +18,7 @@
 //! The size follows from an estimate of the error of a step, the difference from what the last three states extrapolate to, and
 //! from how far the fluid may go, in spacings: advection is explicit.
 
+use super::deferred_correction::Defect;
 use super::equations::{Bar, Condition, Derivatives, Motion, State, Warmth};
 use super::fit::{Coefficients, Stencils};
 use super::steady::NoSteadyState;
@@ -36,6 +37,9 @@ const SHORTEST: f64 = 0.05;
 /// is small; with 20 and more they do at walls with steps a hundredth of what the flow allows.)
 const LAG: f64 = 10.0;
 
+/// Steps without slopes of third order at the start: the pressure of the first one is that of the jolt which makes the flow fit to its walls.
+const UNCORRECTED: usize = 3;
+
 /// tau of each particle in steps with a0 / dt = `rate`, given that of the steady flow.
 pub fn lagged(damping: &[f64], rate: f64) -> Vec<f64> {
     damping.iter().map(|tau| 1.0 / (1.0 / tau + rate / LAG)).collect()
@@ -46,13 +50,16 @@ pub fn lagged(damping: &[f64], rate: f64) -> Vec<f64> {
 pub struct Step {
     pub dt: f64,
     pub last: f64,
+    /// Whether slopes of third order of the state before it are used, where there are such.
+    pub is_corrected: bool,
 }
 
 impl Step {
     /// The step of a size after steps of these sizes. The state at the start may not fit to walls and continuity, so no step looks
     /// back to it.
     pub fn after(sizes: &[f64], dt: f64) -> Self {
-        Self { dt, last: if sizes.len() > 1 { sizes[sizes.len() - 1] } else { 0.0 } }
+        let last = if sizes.len() > 1 { sizes[sizes.len() - 1] } else { 0.0 };
+        Self { dt, last, is_corrected: sizes.len() >= UNCORRECTED }
     }
 
     /// r, and a0, a1, a2 over dt.
@@ -62,17 +69,18 @@ impl Step {
     }
 }
 
-/// A state with its advection, u . grad of each field that is carried, at particles inside.
+/// A state with its advection, u . grad of each field that is carried, at particles inside, and with what its slopes lack, if steps have it.
 #[derive(Debug, Clone)]
 pub struct Level<const F: usize = 4> {
     pub state: State<F>,
     pub advection: Vec<[f64; F]>,
+    pub defect: Option<Defect>,
 }
 
 impl<const F: usize> Level<F> {
     /// What is before the start: nothing looks back to it.
     pub fn none() -> Self {
-        Self { state: State::at_rest(0), advection: vec![] }
+        Self { state: State::at_rest(0), advection: vec![], defect: None }
     }
 }
 
@@ -176,6 +184,21 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
     /// As [`Self::solve_flow`].
     fn solve_heat(&mut self, rate: f64, right: &[f64], guess: Option<Guess<'_, F>>) -> Result<Vec<f64>, NoSteadyState>;
 
+    /// What the slopes of a state lack ([`super::deferred_correction`]), if steps have it.
+    fn defect(&self, _state: &State<F>) -> Option<Defect> {
+        None
+    }
+    /// Adds what a state's fields, its derivatives in `bar` and positions have of what its slopes lack, given the cotangents of that.
+    fn pull_back_defect(
+        &self,
+        _sums: &mut Self::Sums,
+        _state: &State<F>,
+        _defect: &Defect,
+        _fields: &mut [Vec<f64>; F],
+        _bar: &mut Bar<D, F, C>,
+    ) {
+    }
+
     /// The fields that the flow carries: the velocity, and T with heat.
     fn carried(&self) -> Vec<usize> {
         (0..D).chain(self.has_heat().then_some(D + 1)).collect()
@@ -197,7 +220,8 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
                 to[field] = (0..D).map(|e| state.fields[e][i] * slope[e]).sum();
             }
         }
-        Level { state, advection }
+        let defect = self.defect(&state);
+        Level { state, advection, defect }
     }
 
     /// The state after a step from `now`, `before` it, with the conditions of its end. `flow_rate`: the one that is held.
@@ -220,15 +244,19 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
             a1 * now.state.fields[field][i] - (1.0 + r) * now.advection[i][field] + last
         };
         let guess = Some(Guess { now: &now.state, before: &before.state, ratio: r });
+        let defect = now.defect.as_ref().filter(|_| step.is_corrected);
         let mut state = State::at_rest(n);
         if self.has_heat() {
-            let right: Vec<f64> = (0..n)
+            let mut right: Vec<f64> = (0..n)
                 .map(|i| match i.checked_sub(inside).map(|k| conditions[k].warmth) {
                     None => carried(i, D + 1),
                     Some(Warmth::Given(given)) => given,
                     Some(Warmth::Flux(flux)) => -flux,
                 })
                 .collect();
+            if let Some(Defect { heat, .. }) = defect {
+                right.iter_mut().zip(heat).for_each(|(right, heat)| *right -= heat);
+            }
             state.fields[D + 1] = self.solve_heat(a0, &right, guess)?;
         }
         let size = D + 1;
@@ -244,6 +272,9 @@ pub trait Scheme<const D: usize, const F: usize, const C: usize> {
                     Some(_) => 0.0,
                 };
             }
+        }
+        if let Some(Defect { flow, .. }) = defect {
+            right.iter_mut().zip(flow).for_each(|(right, flow)| *right -= flow);
         }
         if let (Some(flow_rate), Some(last)) = (flow_rate, right.last_mut()) {
             *last = flow_rate;

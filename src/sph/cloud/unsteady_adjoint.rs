@@ -12,6 +12,7 @@
 //! States are kept in [`MEMORY`]: those of all steps if they have room there, else those at the beginnings of segments, within each of
 //! which they are made again, but for the last one.
 
+use super::deferred_correction::Defect;
 use super::equations::{Bar, Condition, State};
 use super::steady::NoSteadyState;
 use super::unsteady::{InTime, Level, Scheme, Step};
@@ -69,11 +70,12 @@ impl<const D: usize, const F: usize, const C: usize> Cotangents<D, F, C> {
     }
 }
 
-/// Cotangents of a state's fields and of its advection, `[carried][inside]`.
+/// Cotangents of a state's fields, of its advection, `[carried][inside]`, and of what its slopes lack.
 #[derive(Clone)]
 struct Back<const F: usize> {
     fields: [Vec<f64>; F],
     advection: Vec<Vec<f64>>,
+    defect: Option<Defect>,
 }
 
 impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
@@ -119,10 +121,12 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             time + dt
         });
         let usual = self.boundary.conditions(0.0);
-        let bytes = size_of::<f64>() * F * (n + inside);
+        let first = march.level(self.first.clone());
+        let lacking = if first.defect.is_some() { (D + 2) * n } else { 0 };
+        let bytes = size_of::<f64>() * (F * (n + inside) + lacking);
         let parts = segments(steps, self.memory / bytes.max(1), 2, 1);
         // The states that segments begin with and those before them, and all levels of the last one.
-        let mut starts = vec![[Level::none(), march.level(self.first.clone())]];
+        let mut starts = vec![[Level::none(), first]];
         let mut levels = vec![];
         for (k, &part) in parts.iter().enumerate() {
             levels.clear();
@@ -131,8 +135,11 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             starts.push([levels[end].clone(), levels[end + 1].clone()]);
         }
         let carried = march.carried();
-        let zero =
-            Back { fields: std::array::from_fn(|_| vec![0.0; n]), advection: vec![vec![0.0; inside]; carried.len()] };
+        let zero = Back {
+            fields: std::array::from_fn(|_| vec![0.0; n]),
+            advection: vec![vec![0.0; inside]; carried.len()],
+            defect: None,
+        };
         let mut found = Cotangents {
             bar: Bar::new(n, count),
             position: std::array::from_fn(|_| vec![0.0; n]),
@@ -150,8 +157,9 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                 let state = &levels[k - from + 2].state;
                 bar.clear();
                 figures(k, state, &mut bar);
-                let mut right = Self::of_state(march, state, &now, &mut bar);
-                let (r, [a0, a1, a2]) = self.step(k).weights();
+                let mut right = Self::of_state(march, state, &now, &mut sums, &mut bar);
+                let step = self.step(k);
+                let (r, [a0, a1, a2]) = step.weights();
                 let y = march.solve_flow(a0, &self.of_flow(march, &right, bar.drive), None)?;
                 let mut earlier = zero.clone();
                 let mut heat = vec![];
@@ -176,6 +184,9 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                 let against: Vec<f64> = y[..size * n].iter().map(|y| -y).collect();
                 let against_heat: Vec<f64> = heat.iter().map(|y| -y).collect();
                 let d = march.derivatives(state, self.by_viscosity);
+                if step.is_corrected {
+                    before.defect = Some(Defect { flow: against.clone(), heat: against_heat.clone() });
+                }
                 let heat = has_heat.then_some(against_heat.as_slice());
                 march.pull_back_linear(a0, &d, &against, heat, &mut bar);
                 if let (Some(_), Some(multiplier)) = (self.flow_rate, y.last()) {
@@ -190,7 +201,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
         }
         // The state at the start: what it is inside is given; on walls it is what these are.
         bar.clear();
-        let total = Self::of_state(march, self.first, &now, &mut bar);
+        let total = Self::of_state(march, self.first, &now, &mut sums, &mut bar);
         self.boundary.of_start(&total, &mut bar, &mut found.position);
         found.start = total;
         march.add_to(&mut sums, self.position, self.first, &bar);
@@ -217,29 +228,42 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
 
     /// The cotangents of a state's fields, given those of its figures in `bar` and what later steps have of it. Adds to
     /// the bar's derivatives what the advection has of them.
-    fn of_state(
-        march: &impl Scheme<D, F, C>,
+    fn of_state<M: Scheme<D, F, C>>(
+        march: &M,
         state: &State<F>,
         back: &Back<F>,
+        sums: &mut M::Sums,
         bar: &mut Bar<D, F, C>,
     ) -> [Vec<f64>; F] {
         let mut fields = march.by_fields(bar);
         for (to, own) in fields.iter_mut().zip(&back.fields) {
             to.iter_mut().zip(own).for_each(|(to, own)| *to += own);
         }
+        let mut defect = back.defect.clone();
+        for (i, by) in bar.defect.iter().enumerate() {
+            let none = || Defect { flow: vec![0.0; (D + 1) * march.particles()], heat: vec![] };
+            let to = &mut defect.get_or_insert_with(none).flow[(D + 1) * i..];
+            (0..D).for_each(|e| to[e] += by[e]);
+        }
+        if let Some(defect) = defect {
+            march.pull_back_defect(sums, state, &defect, &mut fields, bar);
+        }
         let carried = march.carried();
+        let mut by_slopes = vec![];
         for ((slopes, weights), &field) in march.carried_slopes(state).iter().zip(&back.advection).zip(&carried) {
             let derivatives = &mut bar.derivatives.0[field];
+            let mut by = vec![[0.0; D]; weights.len()];
             for (i, (slope, weight)) in slopes.iter().zip(weights).enumerate() {
                 for e in 0..D {
                     fields[e][i] += weight * slope[e];
-                    derivatives[i][e] += weight * state.fields[e][i];
+                    by[i][e] = weight * state.fields[e][i];
+                    derivatives[i][e] += by[i][e];
                 }
             }
+            by_slopes.push(by);
         }
         let (stencils, coefficients) = march.carriers();
-        let velocity: [&[f64]; D] = std::array::from_fn(|e| &state.fields[e][..]);
-        let found = coefficients.carried_back(stencils, &velocity, &back.advection);
+        let found = coefficients.slopes_back(stencils, &by_slopes);
         for (field, found) in carried.into_iter().zip(found) {
             fields[field].iter_mut().zip(found).for_each(|(to, from)| *to += from);
         }
