@@ -1,4 +1,4 @@
-//! Slopes of third order by a second solution: what it adds, its adjoint, and finite elements beside both solutions.
+//! Slopes of third order by deferred correction: what is added, its adjoint, and finite elements beside flows with and without it.
 
 use crate::cloud::{channel, loaded, shape, SIDES};
 use crate::support::noise::noise;
@@ -205,8 +205,7 @@ fn corrected_flows_are_closer_to_finite_elements() {
     assert!(corrected[1] < 0.6 * plain[1], "{corrected:?} and {plain:?}");
 }
 
-/// Drag and difference of pressures of a flow in time that has become steady, beside those of a steady one: with the correction the drag
-/// is closer to finite elements.
+/// The drag of a flow in time that has become steady.
 #[test]
 fn corrected_flows_in_time_settle_closer_to_finite_elements() {
     let off = |is_corrected: bool| {

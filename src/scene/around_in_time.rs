@@ -15,7 +15,7 @@ use crate::sph::cloud::figures::Figure;
 use crate::sph::cloud::sound::{self, Medium, WithSound};
 use crate::sph::cloud::sound_adjoint::Heard;
 use crate::sph::cloud::steady::{Held, NoSteadyState};
-use crate::sph::cloud::unsteady::{Control, Flow, InTime, Scheme};
+use crate::sph::cloud::unsteady::{Control, Flow, InTime, Reached, Scheme};
 use crate::sph::cloud::unsteady_adjoint::Taken;
 use std::sync::Arc;
 
@@ -70,7 +70,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
     /// What a flow with sound needs of the cloud.
     fn medium<'a>(&'a self, shaped: &'a Self::Shaped) -> Medium<'a, D, C>;
     /// A state with its derivatives at the boundary and where figures are read.
-    fn seen(&self, shaped: &Arc<Self::Shaped>, time: f64, state: &State<F>) -> Self::Solution;
+    fn seen(&self, shaped: &Arc<Self::Shaped>, time: f64, reached: Reached<'_, F>) -> Self::Solution;
     /// Adds the cotangents of a figure times a weight.
     fn pull_back(&self, figure: Figure, solution: &Self::Solution, weight: f64, bar: &mut Bar<D, F, C>);
     /// The derivative by the variables, given the cotangents of positions and boundary, but for conditions.
@@ -152,9 +152,9 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         let mut history = History { figures: self.named_figures(), ..History::default() };
         let boundary = Boundary { cloud: self.cloud(), view: Self::view(&shaped), start, wanted: &[] };
         let (mut last, mut moments) = (None, vec![]);
-        let mut seen = |time: f64, state: &State<F>| -> Result<(), Failure> {
+        let mut seen = |time: f64, reached: Reached<'_, F>| -> Result<(), Failure> {
             interrupt::check().map_err(Failure::Other)?;
-            let solution = self.seen(&shaped, time, state);
+            let solution = self.seen(&shaped, time, reached);
             let values = history.figures.iter().map(|(_, figure)| self.value(&solution, *figure)).collect();
             let objective = if self.has_objective() { self.objective(&solution).0 } else { f64::NAN };
             let limits = config.limits.iter().map(|limit| match limit.kind {
@@ -206,16 +206,16 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         first: State<F>,
         boundary: &dyn InTime<D, F, C>,
         sizes: &[f64],
-        seen: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
+        seen: &mut dyn FnMut(f64, Reached<'_, F>) -> Result<(), E>,
     ) -> Result<usize, E> {
         let (at_first, others) = sizes.split_at(sound::FIRST.min(sizes.len()));
         let mut last = (0.0, first.clone());
         let factorisations = {
             let mut march = self.scheme(shaped);
             let mut flow = Flow { march: &mut march, boundary, flow_rate: None, spacing: self.spacing() };
-            flow.repeat(first, at_first, &mut |time, state| {
-                last = (time, state.clone());
-                seen(time, state)
+            flow.repeat(first, at_first, &mut |time, reached| {
+                last = (time, reached.state.clone());
+                seen(time, reached)
             })?;
             march.factorisations()
         };
@@ -242,10 +242,10 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         let Begun { shaped, first, flow_rate, start } = self.begin(variables)?;
         let view = Self::view(&shaped);
         let boundary = Boundary { cloud: self.cloud(), view, start, wanted: self.wanted() };
-        let mut figures = |k: usize, state: &State<F>, bar: &mut Bar<D, F, C>| {
+        let mut figures = |k: usize, reached: Reached<'_, F>, bar: &mut Bar<D, F, C>| {
             let Some(slopes) = &slopes else {
                 match of {
-                    Of::Grid(by) if k == last => self.grid_back(&shaped, state, by, bar),
+                    Of::Grid(by) if k == last => self.grid_back(&shaped, reached.state, by, bar),
                     _ => {}
                 }
                 return;
@@ -255,7 +255,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             if by_value == 0.0 && by_objective == 0.0 {
                 return;
             }
-            let solution = self.seen(&shaped, times[k], state);
+            let solution = self.seen(&shaped, times[k], reached);
             let mut pull_back = |terms: Vec<(Figure, f64)>, by: f64| {
                 for (figure, weight) in terms.into_iter().filter(|_| by != 0.0) {
                     self.pull_back(figure, &solution, by * weight, bar);
@@ -271,7 +271,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
             }
         };
         let flow_rate_back = |state: &State<F>, weight: f64, bar: &mut Bar<D, F, C>| {
-            self.pull_back(Figure::FlowRate, &self.seen(&shaped, 0.0, state), weight, bar);
+            self.pull_back(Figure::FlowRate, &self.seen(&shaped, 0.0, state.into()), weight, bar);
         };
         let (sizes, wanted) = (history.sizes.as_slice(), self.wanted().len());
         let taken = |sizes| Taken {
@@ -288,8 +288,8 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
         let found = if self.config().has_sound() {
             let count = sound::FIRST.min(sizes.len());
             let mut at_first = (0.0, first.clone());
-            let mut last = |time: f64, state: &State<F>| {
-                at_first = (time, state.clone());
+            let mut last = |time: f64, reached: Reached<'_, F>| {
+                at_first = (time, reached.state.clone());
                 Ok::<_, NoSteadyState>(())
             };
             self.with_sound(&shaped, first.clone(), &boundary, &sizes[..count], &mut last).map_err(failed)?;
@@ -302,10 +302,10 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
                 by_positions: self.wanted().iter().any(|number| !self.cloud().is_parameter(*number)),
             };
             let flow = WithSound::new(self.medium(&shaped)).map_err(failed)?;
-            let mut later = heard.pull_back(&flow, &mut |k, state, bar| figures(count + k, state, bar), wanted);
+            let mut later = heard.pull_back(&flow, &mut |k, reached, bar| figures(count + k, reached, bar), wanted);
             let start = std::mem::replace(&mut later.start, std::array::from_fn(|_| vec![]));
-            let mut of_first = |k: usize, state: &State<F>, bar: &mut Bar<D, F, C>| {
-                figures(k, state, bar);
+            let mut of_first = |k: usize, reached: Reached<'_, F>, bar: &mut Bar<D, F, C>| {
+                figures(k, reached, bar);
                 if k + 1 == count {
                     for (to, from) in bar.fields.iter_mut().zip(&start) {
                         to.iter_mut().zip(from).for_each(|(to, from)| *to += from);

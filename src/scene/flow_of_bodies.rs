@@ -16,12 +16,13 @@ use crate::sph::cloud::fit::COEFFICIENTS_3D;
 use crate::sph::cloud::fits::Fits;
 use crate::sph::cloud::problem::NoSolution;
 use crate::sph::cloud::sound::Medium;
-use crate::sph::cloud::space::equations::{Bar, State};
+use crate::sph::cloud::space::equations::Bar;
 use crate::sph::cloud::space::figures::Rate;
 use crate::sph::cloud::space::march::March;
 use crate::sph::cloud::space::particles::{Cloud, Shaped};
 use crate::sph::cloud::space::problem::Solution;
 use crate::sph::cloud::steady::Held;
+use crate::sph::cloud::unsteady::Reached;
 use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::sync::Arc;
@@ -173,7 +174,7 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
         }
     }
 
-    fn seen(&self, shaped: &Arc<Shaped>, time: f64, state: &State) -> Solution {
+    fn seen(&self, shaped: &Arc<Shaped>, time: f64, Reached { state, .. }: Reached<'_, 5>) -> Solution {
         let (cloud, read_at) = (&self.flow.cloud, self.flow.measures.read_at());
         let conditions = match cloud.has_time() {
             false => shaped.conditions.clone(),

@@ -19,6 +19,7 @@ use crate::sph::cloud::particles::{Cloud, Shaped};
 use crate::sph::cloud::problem::{NoSolution, Solution};
 use crate::sph::cloud::sound::Medium;
 use crate::sph::cloud::steady::Held;
+use crate::sph::cloud::unsteady::Reached;
 use crate::sph::cloud::unsteady_adjoint::MEMORY;
 use serde_json::{json, Value};
 use std::f64::consts::PI;
@@ -187,11 +188,10 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
         }
     }
 
-    fn seen(&self, shaped: &Arc<Shaped>, _: f64, state: &State) -> Solution {
+    fn seen(&self, shaped: &Arc<Shaped>, _: f64, Reached { state, defect }: Reached<'_, 4>) -> Solution {
         let (equations, read_at) = (&self.flow.solver.equations, self.flow.measures.read_at());
         let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
-        let lagged = self.flow.cloud.lagged(shaped);
-        let defect = lagged.map(|lagged| lagged.defect((equations, &shaped.operators), state));
+        let defect = defect.cloned();
         Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None, defect }
     }
 

@@ -28,7 +28,6 @@
 
 use super::equations::{Bar, Derivatives, Equations, State};
 use super::fit::{Coefficients, Stencils, COEFFICIENTS};
-use super::fit_adjoint::PairCotangents;
 use super::smoothing::Smoothing;
 
 /// Neighbours of the fits of third order. (Measured as above, without tau S p in R3: flow rates are 0.12 % off, in the root mean square,
@@ -195,20 +194,5 @@ impl Lagged<'_> {
             }
         }
         slopes
-    }
-
-    /// No cotangents of coefficients of third order.
-    pub fn sums(&self) -> PairCotangents {
-        PairCotangents::zeros(self.stencils)
-    }
-
-    /// Adds what a state has of them, given the cotangents of its slopes.
-    pub fn add_to(&self, sums: &mut PairCotangents, fields: &[&[f64]], slopes: &[Vec<[f64; 2]>]) {
-        sums.add(self.stencils, fields, slopes);
-    }
-
-    /// Adds what positions have of them.
-    pub fn by_sums(&self, position: &[Vec<f64>; 2], sums: &PairCotangents, to: &mut [Vec<f64>; 2]) {
-        self.stencils.pull_back_pairs(position, sums, to);
     }
 }

@@ -145,7 +145,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     fn sums(&self) -> Sums {
         Sums {
             second: PairCotangents::zeros(&self.solver.equations.fits.all),
-            third: self.correction.as_ref().map(Lagged::sums),
+            third: self.correction.as_ref().map(|correction| PairCotangents::zeros(correction.stencils)),
             position: std::array::from_fn(|_| vec![0.0; self.particles()]),
         }
     }
@@ -162,7 +162,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         let mut found = sums.position;
         self.solver.equations.fits.pull_back_pairs(position, sums.second, &mut found);
         if let (Some(correction), Some(third)) = (&self.correction, &sums.third) {
-            correction.by_sums(position, third, &mut found);
+            correction.stencils.pull_back_pairs(position, third, &mut found);
         }
         found
     }
@@ -183,7 +183,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
         let (Some(correction), Some(third)) = (&self.correction, &mut sums.third) else { return };
         let second = (&self.solver.equations, self.operators);
         let slopes = correction.pull_back(second, state, defect, fields, &mut bar.derivatives);
-        correction.add_to(third, &state.in_use(self.has_heat()), &slopes);
+        third.add(correction.stencils, &state.in_use(self.has_heat()), &slopes);
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {

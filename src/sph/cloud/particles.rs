@@ -62,7 +62,7 @@ pub struct Cloud {
     pub fluid: Fluid,
     pub deformation: Deformation,
     pub fits: Arc<Fits>,
-    /// Fits of third order, where steady flows are corrected by their slopes.
+    /// Fits of third order, where flows are corrected by their slopes.
     pub third: Option<Stencils>,
     /// Means among particles inside, and among all, with them.
     pub means: Option<[Smoothing; 2]>,

@@ -36,7 +36,7 @@ use super::fit_adjoint::PairCotangents;
 use super::fits::Fits;
 use super::particles::Fluid;
 use super::steady::NoSteadyState;
-use super::unsteady::{Control, InTime};
+use super::unsteady::{Control, InTime, Reached};
 use crate::numerics::lanes::{array, Lanes};
 use crate::numerics::sparse_lu::{BlockMatrix, Order, SparseLu};
 use crate::numerics::sweep::{run_parts, PartKernel};
@@ -548,7 +548,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         boundary: &dyn InTime<D, F, C>,
         velocity: f64,
         sizes: &[f64],
-        watch: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, Reached<'_, F>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut y = self.packed(first);
         let (times, apart) = self.at_start(time, velocity);
@@ -561,7 +561,7 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             if fastest > 1e3 * velocity || state.fields.iter().flatten().any(|x| !x.is_finite()) {
                 return Err(NoSteadyState::Unbounded { time }.into());
             }
-            watch(time, &state)?;
+            watch(time, (&state).into())?;
         }
         Ok(())
     }

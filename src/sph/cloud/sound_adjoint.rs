@@ -14,7 +14,7 @@
 use super::equations::{Bar, BoundaryBar, Motion, State, Warmth};
 use super::fit_adjoint::PairCotangents;
 use super::sound::{Record, Vectors, Walls, WithSound, FOUR, MOST, STAGES};
-use super::unsteady::InTime;
+use super::unsteady::{InTime, Reached};
 use super::unsteady_adjoint::{segments, Cotangents};
 use crate::numerics::lanes::{array, Lanes};
 use crate::numerics::sweep::{run_parts, PartKernel};
@@ -253,7 +253,7 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
     pub fn pull_back(
         &self,
         flow: &WithSound<'_, D, F, C>,
-        figures: &mut dyn FnMut(usize, &State<F>, &mut Bar<D, F, C>),
+        figures: &mut dyn FnMut(usize, Reached<'_, F>, &mut Bar<D, F, C>),
         parameters: usize,
     ) -> Cotangents<D, F, C> {
         let medium = &flow.medium;
@@ -361,14 +361,14 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
         &self,
         flow: &WithSound<'_, D, F, C>,
         (k, y): (usize, &[f64]),
-        figures: &mut dyn FnMut(usize, &State<F>, &mut Bar<D, F, C>),
+        figures: &mut dyn FnMut(usize, Reached<'_, F>, &mut Bar<D, F, C>),
         y_bar: &mut [f64],
         pairs: &mut PairCotangents<C>,
         found: &mut Found<D, F, C>,
     ) {
         let (medium, state) = (&flow.medium, flow.unpacked(y));
         found.bar.clear();
-        figures(k, &state, &mut found.bar);
+        figures(k, (&state).into(), &mut found.bar);
         let fields = flow.fields();
         for f in 0..fields {
             let mut own = found.bar.fields[f].clone();

@@ -11,6 +11,8 @@
 //!   a0 = (1 + 2 r) / (1 + r),   a1 = 1 + r,   a2 = r^2 / (1 + r),   N(f) = u . grad f,   1 / tau = 1 / tau_steady + a0 / (10 dt).
 //! ```
 //!
+//! Where flows are corrected, what the slopes of the state before a step lack is added to all three ([`super::deferred_correction`]).
+//!
 //! The first two steps have r = 0, Euler's: the fields at the start need not fit to the walls. Velocity and pressure are solved
 //! for together, so there is no error of splitting and walls hold to rounding. The matrix is the same for all steps of one
 //! size; how it is solved with is a matter of the dimension ([`super::march`], [`super::space::march`]).
@@ -77,7 +79,24 @@ pub struct Level<const F: usize = 4> {
     pub defect: Option<Defect>,
 }
 
+/// A state that a flow came to, and what its slopes lack, if steps have it.
+#[derive(Clone, Copy)]
+pub struct Reached<'a, const F: usize> {
+    pub state: &'a State<F>,
+    pub defect: Option<&'a Defect>,
+}
+
+impl<'a, const F: usize> From<&'a State<F>> for Reached<'a, F> {
+    fn from(state: &'a State<F>) -> Self {
+        Self { state, defect: None }
+    }
+}
+
 impl<const F: usize> Level<F> {
+    pub fn reached(&self) -> Reached<'_, F> {
+        Reached { state: &self.state, defect: self.defect.as_ref() }
+    }
+
     /// What is before the start: nothing looks back to it.
     pub fn none() -> Self {
         Self { state: State::at_rest(0), advection: vec![], defect: None }
@@ -326,7 +345,7 @@ impl<M: Scheme<D, F, C>, const D: usize, const F: usize, const C: usize> Flow<'_
         &mut self,
         first: State<F>,
         sizes: &[f64],
-        watch: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, Reached<'_, F>) -> Result<(), E>,
     ) -> Result<(), E> {
         let start = self.boundary.conditions(0.0);
         let (mut time, mut before, mut now) = (0.0, Level::none(), self.march.level(first));
@@ -335,8 +354,8 @@ impl<M: Scheme<D, F, C>, const D: usize, const F: usize, const C: usize> Flow<'_
             time += dt;
             let conditions = self.boundary.at(time, &start);
             let state = self.march.step(step, &now, &before, &conditions, self.flow_rate)?;
-            watch(time, &state)?;
             let next = self.march.level(state);
+            watch(time, next.reached())?;
             before = std::mem::replace(&mut now, next);
         }
         Ok(())
@@ -351,7 +370,7 @@ impl<M: Scheme<D, F, C>, const D: usize, const F: usize, const C: usize> Flow<'_
         &mut self,
         first: State<F>,
         control: Control,
-        watch: &mut dyn FnMut(f64, &State<F>) -> Result<(), E>,
+        watch: &mut dyn FnMut(f64, Reached<'_, F>) -> Result<(), E>,
     ) -> Result<Vec<f64>, E> {
         let Control { tolerance, velocity, fixed, end } = control;
         let inside = self.march.inside();
@@ -419,8 +438,8 @@ impl<M: Scheme<D, F, C>, const D: usize, const F: usize, const C: usize> Flow<'_
             }
             time += dt;
             sizes.push(dt);
-            watch(time, &state)?;
             let next = self.march.level(state);
+            watch(time, next.reached())?;
             let gone = std::mem::replace(&mut before, std::mem::replace(&mut now, next));
             earlier = (sizes.len() > 3).then_some((gone.state, step.last));
         }

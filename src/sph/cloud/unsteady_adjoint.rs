@@ -15,7 +15,7 @@
 use super::deferred_correction::Defect;
 use super::equations::{Bar, Condition, State};
 use super::steady::NoSteadyState;
-use super::unsteady::{InTime, Level, Scheme, Step};
+use super::unsteady::{InTime, Level, Reached, Scheme, Step};
 
 /// Bytes that the states of a run may take.
 pub const MEMORY: usize = 500_000_000;
@@ -110,7 +110,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
     pub fn pull_back(
         &self,
         march: &mut impl Scheme<D, F, C>,
-        figures: &mut dyn FnMut(usize, &State<F>, &mut Bar<D, F, C>),
+        figures: &mut dyn FnMut(usize, Reached<'_, F>, &mut Bar<D, F, C>),
         parameters: usize,
     ) -> Result<Cotangents<D, F, C>, NoSteadyState> {
         let (n, inside, count) = (march.particles(), march.inside(), march.boundary());
@@ -154,9 +154,10 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
                 levels = self.levels(march, (from, to), &times, &usual, start)?;
             }
             for k in (from..to).rev() {
-                let state = &levels[k - from + 2].state;
+                let level = &levels[k - from + 2];
+                let state = &level.state;
                 bar.clear();
-                figures(k, state, &mut bar);
+                figures(k, level.reached(), &mut bar);
                 let mut right = Self::of_state(march, state, &now, &mut sums, &mut bar);
                 let step = self.step(k);
                 let (r, [a0, a1, a2]) = step.weights();
@@ -227,7 +228,7 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
     }
 
     /// The cotangents of a state's fields, given those of its figures in `bar` and what later steps have of it. Adds to
-    /// the bar's derivatives what the advection has of them.
+    /// the bar's derivatives and to `sums` what the advection and what slopes lack have of them.
     fn of_state<M: Scheme<D, F, C>>(
         march: &M,
         state: &State<F>,
