@@ -296,6 +296,12 @@ fn damaged_trajectories_are_named_and_halves_removed() {
     std::fs::write(&half, "half").unwrap();
     succeeds(folder.path(), &small(&["--out", "data"]));
     assert!(!half.exists() && data.join("valid.h5").exists());
+    // As it is left by one that was killed while it wrote the page, or before it removed the parts.
+    let (page, half) = (data.join("report.html"), data.join(".report.partial-aB3.html"));
+    std::fs::rename(&page, &half).unwrap();
+    std::fs::create_dir(data.join("parts")).unwrap();
+    succeeds(folder.path(), &small(&["--out", "data"]));
+    assert!(!half.exists() && page.exists() && !data.join("parts").exists());
 }
 
 #[test]

@@ -205,9 +205,10 @@ pub fn run(arguments: GenerateArguments, ranks: &Ranks) -> anyhow::Result<()> {
     if store.is_complete() {
         goes_on(ranks, false);
         println!("{} is complete: {} trajectories", folder.display(), jobs.len());
-        // The run ended after the merge, or is of an earlier version.
-        if !folder.join(PAGE).is_file() {
+        // The run ended during the last steps of the merge, or is of an earlier version.
+        if !folder.join(PAGE).is_file() || store.parts().exists() {
             let own = RunFolder::share(&folder, KIND)?;
+            store.merge(&loaded.config, &recipe)?;
             page::write(&folder)?;
             own.finish()?;
         }

@@ -194,9 +194,15 @@ impl RunFolder {
         self.path.parent().unwrap_or(Path::new("."))
     }
 
-    /// Marks the run as finished.
+    /// Marks the run as finished. What an earlier process left unfinished is removed, unless others still share the folder.
     pub fn finish(&self) -> anyhow::Result<()> {
-        self.write(&format!("{FINISHED}\n"))
+        self.write(&format!("{FINISHED}\n"))?;
+        // The lock of a shared folder has to be given up before it can be had alone.
+        let is_alone = |marker: &File| marker.unlock().is_ok() && marker.try_lock().is_ok();
+        if self.marker.as_ref().is_some_and(is_alone) {
+            remove_temporaries(self.folder());
+        }
+        Ok(())
     }
 
     /// Writes the kind and further text in place, because the lock is on the file (empty, or with the same first line).

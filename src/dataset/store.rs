@@ -7,7 +7,7 @@ use super::statistics::Statistics;
 use super::trajectory::{read_trajectory, Split, Trajectory};
 use crate::config::scene::{Config, DensityEquation, Family, FluxName, Method, Slip, Standard};
 use crate::error::{BadInput, Error};
-use crate::io::atomic::{is_temporary, write_bytes_atomically};
+use crate::io::atomic::write_bytes_atomically;
 use crate::io::hdf5_file::{
     failed, open, read_number, read_text, write_attribute, write_chunked, write_file, write_text,
 };
@@ -153,13 +153,6 @@ impl Store {
             }
             statistics.write_to(&mut metadata);
             metadata.write(&self.folder)?;
-            // Removes partial files of an interrupted merge, now that the data set is complete and no shard writes.
-            for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
-                let name = entry.file_name().to_string_lossy().into_owned();
-                if is_temporary(&name) {
-                    let _ = std::fs::remove_file(entry.path());
-                }
-            }
         }
         // Errors are ignored: the data set is complete.
         let _ = std::fs::remove_dir_all(self.parts());
