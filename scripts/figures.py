@@ -5,7 +5,7 @@
     python3 scripts/figures.py --print NAME...      measures and prints
     python3 scripts/figures.py --check      measures nothing: whether each table has one place, and each place a table
 
-Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around errors front; summary writes the
+Of the solver: accuracy validation switches gradient growth cfl starts gain constraints drift shapes rough f32 inverse cloud around errors errors_around front; summary writes the
 fields of summary.json from data/summary.toml; busy is busy.py. Of designs by the surrogate:
 surrogate-rank surrogate-starts surrogate-compare; of starts: surrogate-inverse. Of speed: bench-kernels bench-gradient bench-formulations
 bench-scaling bench-plan bench-surrogate. From what scripts/peers/run.sh has measured: peers peers-surrogate; from scripts/peers/time_error.py: time-error. `pictures` and `pictures-slow` make the pictures (pictures.py).
@@ -315,7 +315,7 @@ class Kept:
 def errors():
     """Errors that `simulate --error` finds beside the true ones: how many are larger, and how much too large they are in the middle.
 
-    Takes an hour or more. It goes on where it was stopped; with FIGURES_MINUTES=40 no more bodies and walls are measured after 40 minutes.
+    Takes an hour or more. It goes on where it was stopped; with FIGURES_MINUTES=40 no more walls are measured after 40 minutes.
     """
     clock, limit = time.monotonic(), 60 * float(os.environ.get("FIGURES_MINUTES", "inf"))
     kept, groups = Kept("errors"), {}
@@ -349,16 +349,6 @@ def errors():
             s = of("slab", *sets(method__name=method, resolution__dx=1 / rows, time__end=0.05))
             add(exact, s, "wall_flux[0]", s and s.get("exact_wall_flux", [math.nan])[0])
 
-    def around(dx):
-        for _, bodies, scene in bodies_in_channel(reference(BODIES)):
-            s = of(scene, *sets(resolution__dx=dx))
-            label = f"bodies in a channel, fixed particles, dx {dx}: "
-            add(label + "flow rate", s, "flow_rate", float(bodies[0]["flow_rate"]))
-            for k, body in enumerate(bodies):
-                add(label + "drag", s, f"shapes[{k + 2}].force[0]", float(body["force_x"]))
-                add(label + "heat", s, f"shapes[{k + 2}].heat", float(body["heat"]))
-
-    around(0.02)
     # In an order that leaves some of each kind of wall where the time ends.
     walls = reference(SHAPES)
     for row in walls[::3] + walls[1::3] + walls[2::3]:
@@ -368,7 +358,31 @@ def errors():
             label = f"walls of the heated channel, {name} particles, dx 0.02: "
             add(label + "Q", s, "q", q)
             add(label + "flow rate", s, "flow_rate", flow)
-    around(0.01)
+    return held(groups)
+
+
+def errors_around():
+    """The same of steady flows around the bodies of data/reference, whose errors follow from one solution: at three spacings, without and with a deferred correction."""
+    groups = {}
+    for corrected, dx in [(with_it, dx) for with_it in (False, True) for dx in (0.03, 0.02, 0.01)]:
+        for _, bodies, scene in bodies_in_channel(reference(BODIES)):
+            s = load(run("error-around", "simulate", scene, "--error", *sets(resolution__dx=dx, method__deferred_correction=str(corrected).lower())))
+            label = f"dx {dx}{', corrected' if corrected else ''}: "
+            drag = abs(float(bodies[0]["force_x"]))
+            figures = [("flow rate", "flow_rate", bodies[0]["flow_rate"], None)]
+            for k, body in enumerate(bodies):
+                at = f"shapes[{k + 2}]"
+                figures += [("drag", f"{at}.force[0]", body["force_x"], None), ("transverse force, in the drag", f"{at}.force[1]", body["force_y"], drag),
+                            ("heat", f"{at}.heat", body["heat"], None)]
+            for name, figure, truth, unit in figures:
+                one = next(one for one in s["errors"] if one["name"] == figure)
+                off, unit = abs(one["value"] - float(truth)), unit or abs(float(truth))
+                groups.setdefault(label + name, []).append((one["error"] / max(off, 1e-12), off / unit, one["error"] / unit))
+    return held(groups)
+
+
+def held(groups):
+    """A table of groups of figures, each with its error over the true one, the true one and the error: how many errors hold."""
     middle = lambda all: sorted(all)[len(all) // 2]
     rows = [[label, len(all), f"{100 * sum(ratio >= 1 for ratio, _, _ in all) / len(all):.0f} %", f"{middle([ratio for ratio, _, _ in all]):.1f}",
              f"{100 * middle([true for _, true, _ in all]):.2f} %", f"{100 * middle([error for _, _, error in all]):.2f} %"]
@@ -702,7 +716,7 @@ def summary():
 
 
 surrogate_figures = {"surrogate-inverse": surrogate_inverse, "surrogate-rank": surrogate_rank, "surrogate-starts": surrogate_starts, "surrogate-compare": surrogate_compare}
-solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, around, summary, busy, front, density)
+solver_figures = (accuracy, validation, switches, gradient, growth, cfl, starts, gain, constraints, drift, shapes, rough, f32, inverse, cloud, errors, errors_around, around, summary, busy, front, density)
 PICTURES = {"pictures": QUICK, "pictures-slow": SLOW}
 FIGURES = {**{f.__name__: f for f in solver_figures}, **surrogate_figures, **SPEED}
 

@@ -89,3 +89,4 @@ mod validation;
 mod verify;
 mod viscosity;
 mod warnings;
+mod weighted_residual;

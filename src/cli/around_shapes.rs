@@ -3,7 +3,7 @@
 use super::files::{self, write_json};
 use super::run_folder::{Earlier, RunFolder};
 use super::simulate_report::{print_dimensionless, warn};
-use super::{machine, page};
+use super::{figure_errors, machine, page};
 use crate::config::custom::Part;
 use crate::config::scene::{Config, Goal, ObjectiveKind};
 use crate::design::objectives::Figure;
@@ -18,6 +18,7 @@ use crate::scene::around_flow::{Around, Flowed};
 use crate::scene::around_shapes::{finer, AroundShapes, Judged};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
+use crate::scene::solution_error::SolutionErrors;
 use crate::scene::warnings::Warning;
 use crate::sph::cloud::problem::Solution;
 use serde_json::{json, Value};
@@ -157,8 +158,8 @@ pub fn print_figures(config: &Config, figures: &Figures) {
     }
 }
 
-/// `hydrograd simulate`: the steady flow, with figures, pictures and a frame for ParaView.
-pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Result<()> {
+/// `hydrograd simulate`: the steady flow, with figures, their errors if these are asked for, pictures and a frame for ParaView.
+pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier, asks_errors: bool) -> anyhow::Result<()> {
     let config = &loaded.config;
     let clock = Instant::now();
     let mut around = AroundShapes::new(config)?;
@@ -170,11 +171,20 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     let end = around.fields(&solution);
     end.write(folder, &loaded.config, &loaded.text)?;
     around.write_grid(folder, &solution, 0.0)?;
-    let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
-    end.with_frame(|frame| series.write(frame))?;
-    let heat = files::plot_maps(folder, &[("steady", &around.map(&solution))], false)?;
+    let map = around.map(&solution);
+    let heat = files::plot_maps(folder, &[("steady", &map)], false)?;
     let figures = around.summary(&solution);
     let mut record = record(loaded, &around, &solution, &figures, seconds);
+    let errors = if asks_errors { Some(errors(&mut record, &mut around, &solution)?) } else { None };
+    let mut more: Vec<(&str, &[f64])> = vec![];
+    if let Some(SolutionErrors { figures, density }) = &errors {
+        if let Some(first) = figures.first() {
+            files::plot_error(folder, &first.name, &map, &around.field_of(&solution, density))?;
+            more.push(("error", density));
+        }
+    }
+    let mut series = VtkSeries::new(&folder.join("particles"), "particles")?;
+    end.with_frame_and(&more, |frame| series.write(frame))?;
     put_growth(&mut record, loaded, &mut around, &solution)?;
     files::write_summary(folder, &record)?;
     let counts = around.flow.solver.counts;
@@ -187,14 +197,27 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier) -> anyhow::Res
     print_figures(config, &figures);
     print_dimensionless(config, around.fastest(&solution));
     println!(
-        "files in {}: report.html, summary.json, flow.png{}, state.h5, particles/particles.pvd (ParaView)",
+        "files in {}: report.html, summary.json, flow.png{}{}, state.h5, particles/particles.pvd (ParaView)",
         folder.display(),
-        if heat { ", temperature.png" } else { "" }
+        if heat { ", temperature.png" } else { "" },
+        if more.is_empty() { "" } else { ", error.png (where the error comes from)" }
     );
     suggest_search(loaded);
     warn(&record.warnings());
+    if let Some(SolutionErrors { figures, .. }) = &errors {
+        figure_errors::tell(figures);
+    }
     page::write(folder)?;
     own.finish()
+}
+
+/// The errors of a solution's figures, which are added to its record.
+fn errors(record: &mut Record, around: &mut AroundShapes, solution: &Solution) -> Result<SolutionErrors, Error> {
+    let clock = Instant::now();
+    let found = around.errors(solution, record)?;
+    figure_errors::put(record, &found.figures);
+    record.put("error_seconds", clock.elapsed().as_secs_f64());
+    Ok(found)
 }
 
 /// Prints how many particles of given spacings there are, `inside` of them in the fluid. Returns the least spacing.

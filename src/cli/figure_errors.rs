@@ -1,5 +1,5 @@
 //! `simulate --error` and `--accuracy`: the same scene at coarser spacings, what this says of the error of every figure, and the spacing at
-//! which an error is as small as it is asked to be.
+//! which an error is as small as it is asked to be. Where one solution tells its errors, the same run does.
 
 use super::files::write_summary;
 use super::{page, program};
@@ -32,7 +32,8 @@ const FINEST: f64 = 1.0 / 8.0;
 /// The options of errors.
 #[derive(Debug, Clone, Args)]
 pub struct ErrorArguments {
-    /// Find the error of every figure: the scene runs at two coarser spacings, too, which takes about as long again at most.
+    /// Find the error of every figure: the scene runs at two coarser spacings, too, which takes about as long again at most. A steady flow
+    /// of fixed particles around shapes in the plane tells its errors itself, and error.png where they come from.
     #[arg(long)]
     pub error: bool,
     /// Choose the spacing at which the error of the first figure (Q, or the objective) is at most this share of it, such as 0.1%.
@@ -70,6 +71,9 @@ impl Spacings {
         std::fs::write(&scene, &loaded.text)?;
         let mut command = program::command(&program::words()?);
         command.arg("simulate").arg(&scene).arg("--out").arg(&out).args(["--set", "output.frames=0"]);
+        if loaded.config.knows_its_errors() {
+            command.arg("--error");
+        }
         let log = tempfile::NamedTempFile::new()?;
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log.reopen()?);
         let status = program::attended(&mut command)?;
@@ -106,6 +110,9 @@ impl Spacings {
 
     /// The errors of the figures of a run.
     fn errors(&mut self, loaded: &Loaded, record: &Record) -> anyhow::Result<Vec<FigureError>> {
+        if loaded.config.knows_its_errors() {
+            return Ok(serde_json::from_value(record.0.get("errors").cloned().unwrap_or_default())?);
+        }
         let coarser = self.coarser(loaded)?;
         Ok(errors(&loaded.config, record, &coarser))
     }
@@ -244,15 +251,20 @@ pub fn add(loaded: &Loaded, folder: &Path, spacings: &mut Spacings) -> anyhow::R
     record.put("error_seconds", clock.elapsed().as_secs_f64());
     write_summary(folder, &record)?;
     page::refresh(folder)?;
-    match found.is_empty() {
-        true => println!("\nerrors: no figure changes with the spacing"),
-        false => println!("\nerrors (19 of 20 are smaller)\n{}", table(&found).to_text()),
-    }
+    tell(&found);
     Ok(())
 }
 
+/// Prints errors.
+pub fn tell(found: &[FigureError]) {
+    match found.is_empty() {
+        true => println!("\nerrors: no figure changes with the spacing"),
+        false => println!("\nerrors (19 of 20 are smaller)\n{}", table(found).to_text()),
+    }
+}
+
 /// Adds errors to a record: all of them, and those of Q and the objective under names of their own.
-fn put(record: &mut Record, found: &[FigureError]) {
+pub fn put(record: &mut Record, found: &[FigureError]) {
     for one in found.iter().filter(|one| ["q", "objective"].contains(&one.name.as_str())) {
         record.put(&format!("{}_error", one.name), one.error);
         record.put(&format!("{}_error_parts", one.name), one.parts);
@@ -261,16 +273,25 @@ fn put(record: &mut Record, found: &[FigureError]) {
 }
 
 fn table(found: &[FigureError]) -> Table {
-    let mut table = Table::new(["figure", "value", "+-", "share", "of which", "order seen"]);
+    // One solution shows no order.
+    let has_order = found.iter().any(|one| one.observed_order.is_some());
+    let mut header = vec!["figure", "value", "+-", "share", "of which"];
+    header.extend(has_order.then_some("order seen"));
+    let mut table = Table::new(header);
     for FigureError { name, value, error, parts, observed_order } in found {
-        table.row([
+        let mut row = vec![
             name.clone(),
             format!("{value:.6}"),
             format!("{error:.1e}"),
-            format!("{:.2} %", 100.0 * error / value.abs()),
+            // Of a figure that is zero but for its error.
+            match error / value.abs() {
+                share if share < 1.0 => format!("{:.2} %", 100.0 * share),
+                _ => "> 100 %".into(),
+            },
             parts.told(),
-            observed_order.map_or("none".into(), |order| format!("{order:.1}")),
-        ]);
+        ];
+        row.extend(has_order.then(|| observed_order.map_or("none".into(), |order| format!("{order:.1}"))));
+        table.row(row);
     }
     table
 }

@@ -148,6 +148,17 @@ pub fn plot_maps(folder: &Path, panels: &[(&str, &FieldMap)], has_vorticity: boo
     plot("temperature", TEMPERATURE, false, &|map| map.temperature.as_ref())
 }
 
+/// Plots `error.png`: where the error of a figure comes from. The colours end at what 99 of 100 cells do not exceed.
+pub fn plot_error(folder: &Path, figure: &str, map: &FieldMap, field: &Field) -> anyhow::Result<()> {
+    let mut known: Vec<f64> = field.values.iter().copied().filter(|x| x.is_finite()).collect();
+    known.sort_by(f64::total_cmp);
+    let high = known.get(known.len() * 99 / 100).copied().unwrap_or(0.0).max(1e-300);
+    let panel = FieldPanel { title: "steady", field, streamlines: &[], walls: &map.walls };
+    let label = format!("error of {figure} per area");
+    fields(&folder.join("error"), &label, &[panel], (0.0, high), false)?;
+    Ok(())
+}
+
 /// Draws particles in panels, coloured by values `[N]`. Without a range of colours it is that of the fluid's values.
 fn draw(
     (stem, label): (&Path, &str),

@@ -229,7 +229,8 @@ pub fn holds_results(folder: &Path) -> bool {
 fn stems(kind: &str) -> &'static str {
     match kind {
         "simulate" => {
-            "config summary history shape wall temperature flow state checkpoint last-good kinetic_energy profile"
+            "config summary history shape wall temperature flow vorticity error state checkpoint last-good kinetic_energy \
+             profile"
         }
         "train" => "config last best history validation curves",
         kind if kind.starts_with("optimize") => {

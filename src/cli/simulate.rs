@@ -139,8 +139,13 @@ pub fn run(mut loaded: Loaded, arguments: SimulateArguments, ranks: &Ranks) -> a
         interrupt::listen("hydrograd simulate --accuracy".to_string())?;
         loaded = spacings.accurate(&loaded, accuracy)?;
     }
+    let asks_errors = error || accuracy.is_some();
+    if loaded.config.knows_its_errors() {
+        // It is found anew in a moment.
+        return around_shapes::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced), asks_errors);
+    }
     simulate(&loaded, &folder, resume, halvings, ranks)?;
-    match error || accuracy.is_some() {
+    match asks_errors {
         true => figure_errors::add(&loaded, &folder, &mut spacings),
         false => Ok(()),
     }
@@ -225,11 +230,7 @@ fn simulate(
                 false => around_in_time::simulate(loaded, &AroundShapes::new(&loaded.config)?, folder, earlier),
             };
         }
-        // It is found anew in a moment.
-        if loaded.config.is_around_bodies() {
-            return around_bodies::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
-        }
-        return around_shapes::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
+        return around_bodies::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
     }
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {

@@ -39,6 +39,7 @@ pub mod plausible;
 pub mod record;
 pub mod shape_heat;
 pub mod shape_search;
+pub mod solution_error;
 pub mod start_field;
 mod surface;
 pub mod tank;

@@ -75,7 +75,12 @@ impl ParticleFields {
 
     /// Calls `f` with these fields as a ParaView frame.
     pub fn with_frame<T>(&self, f: impl FnOnce(&ParticleFrame) -> T) -> T {
-        let mut scalars: Vec<(&str, &[f64])> = Vec::new();
+        self.with_frame_and(&[], f)
+    }
+
+    /// The same, with more fields of scalars.
+    pub fn with_frame_and<T>(&self, more: &[(&str, &[f64])], f: impl FnOnce(&ParticleFrame) -> T) -> T {
+        let mut scalars: Vec<(&str, &[f64])> = more.to_vec();
         scalars.extend(self.temperature.as_deref().map(|temperature| ("temperature", temperature)));
         scalars.extend([("density", self.density.as_slice()), ("pressure", &self.pressure)]);
         f(&ParticleFrame {

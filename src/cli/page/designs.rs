@@ -319,7 +319,7 @@ pub fn simulate(folder: &Folder) -> anyhow::Result<Page> {
     page.fields = series::fields(folder, &[("over time", series::lists(&folder.path))], config.resolution.dx);
     let has_fields = page.fields.is_some();
     page.pictures = folder.pictures(|stem| match stem {
-        "profile" | "wall" => true,
+        "profile" | "wall" | "error" => true,
         "temperature" | "flow" => !has_fields,
         _ => false,
     });
@@ -342,11 +342,15 @@ fn errors(summary: &Record) -> Option<Table> {
     let mut table = Table::new("Errors of figures", ["figure", "value", "\u{b1}", "share"]);
     for one in errors {
         if let (Some(value), Some(error)) = (number(one, "value"), number(one, "error")) {
-            let cells = [Cell::number(value), rounded(Cell::number(error), 2), percent(error / value.abs())];
-            table.row(text(one, "name"), cells);
+            // Of a figure that is zero but for its error.
+            let share = match error / value.abs() {
+                share if share < 1.0 => percent(share),
+                _ => Cell::text("> 100\u{a0}%"),
+            };
+            table.row(text(one, "name"), [Cell::number(value), rounded(Cell::number(error), 2), share]);
         }
     }
-    table.note = "19 of 20 are smaller, as far as coarser spacings show.".into();
+    table.note = "19 of 20 are smaller, as far as coarser spacings, or the residual of the solution, show.".into();
     Some(table)
 }
 

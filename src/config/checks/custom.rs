@@ -138,6 +138,11 @@ impl Config {
         }
     }
 
+    /// Whether one solution tells the errors of its figures ([`crate::scene::solution_error`]): steady flows around shapes in the plane do.
+    pub fn knows_its_errors(&self) -> bool {
+        self.is_around_shapes() && !self.is_around_bodies() && self.unsteady().is_none()
+    }
+
     /// Whether the flow of fixed particles around shapes is corrected by slopes of third order.
     pub fn is_corrected(&self) -> bool {
         matches!(self.method, Method::Fixed(fixed) if fixed.deferred_correction)

@@ -36,3 +36,4 @@ pub mod traction;
 pub mod unsteady;
 pub mod unsteady_adjoint;
 pub mod wall_fit;
+pub mod weighted_residual;

@@ -246,6 +246,18 @@ impl Conditions<2> for Cloud {
     }
 }
 
+/// Fits of second or third order to so many of the particles `near` each.
+fn stencils_of(
+    ground: &Ground,
+    places: &Places,
+    near: &[Vec<(f64, u32)>],
+    count: usize,
+    is_third: bool,
+) -> Result<Stencils, Unusable> {
+    let stencils = Stencils::new(ground.plane, &places.place, |_| count, |_| is_third, near);
+    stencils.map_err(|i| Unusable::Lonely(places.place[i]))
+}
+
 impl Cloud {
     /// Places particles around the shapes of `ground`, with fits of third order if flows are corrected by their slopes.
     ///
@@ -272,12 +284,9 @@ impl Cloud {
             let near: Vec<_> = (0..places.place.len()).map(|i| of(i, most + 1)).collect();
             (near, places.boundary.iter().map(on_wall).collect())
         };
-        let stencils_of = |count: usize, is_third: bool| {
-            let stencils = Stencils::new(ground.plane, &places.place, |_| count, |_| is_third, &near);
-            stencils.map_err(|i| Unusable::Lonely(places.place[i]))
-        };
-        let stencils = stencils_of(NEIGHBOURS, false)?;
-        let third = is_corrected.then(|| stencils_of(deferred_correction::NEIGHBOURS, true)).transpose()?;
+        let stencils = stencils_of(&ground, &places, &near, NEIGHBOURS, false)?;
+        let of_third_order = || stencils_of(&ground, &places, &near, deferred_correction::NEIGHBOURS, true);
+        let third = is_corrected.then(of_third_order).transpose()?;
         let position = std::array::from_fn(|d| places.place.iter().map(|p| p[d]).collect());
         let operators = stencils.coefficients(&position);
         let deformation = Deformation::new(&stencils, &operators, &places.place, places.inside, threads)
@@ -290,6 +299,18 @@ impl Cloud {
 
     pub fn particles(&self) -> usize {
         self.places.place.len()
+    }
+
+    /// Fits of third order for a cloud that keeps none.
+    ///
+    /// # Errors
+    /// A particle with too few neighbours.
+    pub fn third_order(&self) -> Result<Stencils, Unusable> {
+        let (ground, places, count) = (&self.ground, &self.places, deferred_correction::NEIGHBOURS);
+        let (all, sight) = (Nearest::new(ground.plane, ground.dx, &places.place), Sight::new(ground, places));
+        let of = |i: usize| all.of(places.place[i], count + 1, |j, _| j != i && sight.sees(i, j));
+        let near: Vec<_> = (0..places.place.len()).map(of).collect();
+        stencils_of(ground, places, &near, count, true)
     }
 
     /// What steps in time lack, if flows are corrected.

@@ -5,6 +5,7 @@ use super::equations::{Bar, Derivatives, State};
 use super::figures::{Figure, MeasureSettings, Measures, Rate};
 use super::particles::{At, Cloud, Shaped, Unusable};
 use super::steady::{Held, NoSteadyState, Solver};
+use super::weighted_residual::{Residual, Weighted};
 use std::sync::Arc;
 
 /// A cloud with its solver, which keeps factors and the last state from shape to shape.
@@ -180,6 +181,47 @@ impl SteadyFlow {
         self.pull_back(solution, bar, wanted)
     }
 
+    /// The multipliers of flow and heat of what has these cotangents, see [`Solver::adjoint`].
+    fn multipliers(&mut self, solution: &Solution, bar: &Bar) -> Result<(Vec<f64>, Option<Vec<f64>>), NoSteadyState> {
+        let Solution { shaped, state, .. } = solution;
+        self.solver.equations.conditions = shaped.conditions.clone();
+        let fields = self.solver.equations.by_fields(&shaped.operators, bar);
+        let rate = Rate { measures: &self.measures, shaped };
+        let held = self.held.as_ref().map(|held| (held, &rate as _));
+        self.solver.adjoint(&shaped.operators, state, &fields, bar.drive, held)
+    }
+
+    /// The residual of a solution in fits of third order, for [`Self::weighted_residual`] of its figures.
+    ///
+    /// # Errors
+    /// A cloud without such fits.
+    pub fn residual(&mut self, solution: &Solution) -> Result<Residual, NoSolution> {
+        let Solution { shaped, state, derivatives, .. } = solution;
+        self.solver.equations.conditions = shaped.conditions.clone();
+        // The figures have one matrix, whose own factors serve better than those of a step before.
+        self.solver.forget();
+        if let Some(third) = self.third(shaped) {
+            return Ok(Residual::new(&third, state, derivatives));
+        }
+        let stencils = &self.cloud.third_order()?;
+        let operators = &stencils.coefficients(&shaped.position);
+        Ok(Residual::new(&ThirdOrder { equations: &self.solver.equations, stencils, operators }, state, derivatives))
+    }
+
+    /// The weighted residual of what has these cotangents, see [`super::weighted_residual`].
+    ///
+    /// # Errors
+    /// A transposed system that cannot be solved.
+    pub fn weighted_residual(
+        &mut self,
+        solution: &Solution,
+        residual: &Residual,
+        bar: &Bar,
+    ) -> Result<Weighted, NoSolution> {
+        let (flow, heat) = self.multipliers(solution, bar)?;
+        Ok(residual.weighted(&flow, heat.as_deref()))
+    }
+
     /// The derivative by numbers (shape, number) and the viscosity of what has these cotangents.
     ///
     /// # Errors
@@ -191,12 +233,8 @@ impl SteadyFlow {
         wanted: &[(usize, usize)],
     ) -> Result<Gradient, NoSolution> {
         let Solution { shaped, state, derivatives, first, .. } = solution;
-        self.solver.equations.conditions = shaped.conditions.clone();
         let n = self.cloud.particles();
-        let fields = self.solver.equations.by_fields(&shaped.operators, &bar);
-        let rate = Rate { measures: &self.measures, shaped };
-        let held = self.held.as_ref().map(|held| (held, &rate as _));
-        let (flow, heat) = self.solver.adjoint(&shaped.operators, state, &fields, bar.drive, held)?;
+        let (flow, heat) = self.multipliers(solution, &bar)?;
         let against: Vec<f64> = flow[..3 * n].iter().map(|x| -x).collect();
         let heat = heat.map(|heat| heat.iter().map(|x| -x).collect::<Vec<f64>>());
         let equations = &self.solver.equations;

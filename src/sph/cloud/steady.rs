@@ -76,6 +76,8 @@ pub struct Solver {
     flow: BlockMatrix,
     heat: BlockMatrix,
     factors: Option<Factors>,
+    /// The heat's matrix that was factorised last, and its factors.
+    heat_factors: Option<(Vec<f64>, SparseLu)>,
     pub counts: Counts,
 }
 
@@ -228,7 +230,7 @@ impl Solver {
     pub(super) fn of_size(equations: Equations, places: &[[f64; 2]], size: usize, threads: usize) -> Self {
         let (flow, heat) = (equations.fits.all.matrix(size), equations.fits.all.matrix(1));
         let order = Arc::new(Order::new(&flow, |i| places[i]));
-        Self { equations, threads, order, flow, heat, factors: None, counts: Counts::default() }
+        Self { equations, threads, order, flow, heat, factors: None, heat_factors: None, counts: Counts::default() }
     }
 
     /// Whether the temperature is among the unknowns of the flow.
@@ -422,15 +424,28 @@ impl Solver {
         if self.equations.diffusivity.is_none() {
             return Ok(());
         }
-        self.equations.heat_matrix(state, operators, &mut self.heat);
-        let lu = SparseLu::new(&self.order, &self.heat, self.threads)?;
+        self.factorise_heat(operators, state)?;
         for _ in 0..2 {
             let d = self.equations.derivatives(operators, state, true);
             let right: Vec<f64> = self.heat_residual(state, &d, defect).iter().map(|x| -x).collect();
-            let change = lu.solve(&right, false);
+            let change = self.heat_factors()?.solve(&right, false);
             state.fields[3].iter_mut().zip(change).for_each(|(t, change)| *t += change);
         }
         Ok(())
+    }
+
+    /// Makes the matrix of the heat in a flow, and its factors unless they are there.
+    fn factorise_heat(&mut self, operators: &Coefficients, state: &State) -> Result<(), Singular> {
+        self.equations.heat_matrix(state, operators, &mut self.heat);
+        if self.heat_factors.as_ref().is_none_or(|(matrix, _)| *matrix != self.heat.values) {
+            let factors = SparseLu::new(&self.order, &self.heat, self.threads)?;
+            self.heat_factors = Some((self.heat.values.clone(), factors));
+        }
+        Ok(())
+    }
+
+    fn heat_factors(&self) -> Result<&SparseLu, Singular> {
+        self.heat_factors.as_ref().map(|(_, factors)| factors).ok_or(Singular)
     }
 
     /// The multipliers of flow `[3 N + m]` and heat `[N]`, given the cotangents of the fields: solutions of R_z^T y = z_bar.
@@ -451,9 +466,8 @@ impl Solver {
         let mut flow_bar: Vec<f64> = (0..s * n).map(|k| bar[k % s][k / s]).collect();
         if self.equations.diffusivity.is_some() && !self.is_coupled() {
             if bar[3].iter().any(|&x| x != 0.0) {
-                self.equations.heat_matrix(state, operators, &mut self.heat);
-                let lu = SparseLu::new(&self.order, &self.heat, self.threads)?;
-                let y = lu.refined(&self.heat, &bar[3], true);
+                self.factorise_heat(operators, state)?;
+                let y = self.heat_factors()?.refined(&self.heat, &bar[3], true);
                 for (i, by) in self.equations.heat_by_velocity(&d, &y).iter().enumerate() {
                     (0..2).for_each(|e| flow_bar[3 * i + e] -= by[e]);
                 }
