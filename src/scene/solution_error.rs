@@ -21,22 +21,30 @@ struct Share {
     magnitudes: f64,
 }
 
-/// The shares of figures of the flow, of the part of a force that is across the whole of it, where more cancels, of torques, and of heat: those
-/// that 19 of 20 true errors do not exceed, and the least of such in the middle. (Of 40 channels with bodies at random, smooth ones and polygons,
-/// at two spacings each, and of the ten geometries of data/reference/bodies-in-channel.csv at three.)
-const SHARES: [Share; 4] = [
-    Share { sums: 0.7, magnitudes: 0.07 },
-    Share { sums: 1.8, magnitudes: 0.01 },
-    Share { sums: 0.9, magnitudes: 0.1 },
-    Share { sums: 1.2, magnitudes: 0.12 },
-];
+/// The shares of each kind of figure.
+struct Shares {
+    flow: Share,
+    /// Of the part of a force that is across the whole of it, where more cancels.
+    across: Share,
+    torque: Share,
+    heat: Share,
+}
+
+/// Shares that 19 of 20 true errors do not exceed, and the least of such in the middle. (Of 40 channels with bodies at random, smooth ones and
+/// polygons, at two spacings each, and of the ten geometries of data/reference/bodies-in-channel.csv at three.)
+const SHARES: Shares = Shares {
+    flow: Share { sums: 0.7, magnitudes: 0.07 },
+    across: Share { sums: 1.8, magnitudes: 0.01 },
+    torque: Share { sums: 0.9, magnitudes: 0.1 },
+    heat: Share { sums: 1.2, magnitudes: 0.12 },
+};
 /// The same of flows with a deferred correction, whose residuals are smaller.
-const SHARES_CORRECTED: [Share; 4] = [
-    Share { sums: 0.3, magnitudes: 0.15 },
-    Share { sums: 1.8, magnitudes: 0.015 },
-    Share { sums: 0.3, magnitudes: 0.15 },
-    Share { sums: 0.8, magnitudes: 0.2 },
-];
+const SHARES_CORRECTED: Shares = Shares {
+    flow: Share { sums: 0.3, magnitudes: 0.15 },
+    across: Share { sums: 1.8, magnitudes: 0.015 },
+    torque: Share { sums: 0.3, magnitudes: 0.15 },
+    heat: Share { sums: 0.8, magnitudes: 0.2 },
+};
 
 /// The errors of figures, and where that of the first one comes from.
 pub struct SolutionErrors {
@@ -72,19 +80,19 @@ impl AroundShapes {
 
     /// What the error of a figure is of its weighted residual.
     fn share(&self, solution: &Solution, figure: Figure) -> Share {
-        let [flow, across, torque, heat] = if self.config().is_corrected() { SHARES_CORRECTED } else { SHARES };
+        let shares = if self.config().is_corrected() { SHARES_CORRECTED } else { SHARES };
         match figure {
-            Figure::Heat { .. } | Figure::HeatOutflow => heat,
-            Figure::Torque { .. } => torque,
+            Figure::Heat { .. } | Figure::HeatOutflow => shares.heat,
+            Figure::Torque { .. } => shares.torque,
             Figure::Force { shape, along } => {
                 let force = [0, 1].map(|along| self.flow.value(solution, Figure::Force { shape, along }));
                 let whole = force[0].hypot(force[1]).max(f64::MIN_POSITIVE);
                 let between = |of: fn(Share) -> f64| {
-                    (of(flow) * force[along] / whole).hypot(of(across) * force[1 - along] / whole)
+                    (of(shares.flow) * force[along] / whole).hypot(of(shares.across) * force[1 - along] / whole)
                 };
                 Share { sums: between(|share| share.sums), magnitudes: between(|share| share.magnitudes) }
             }
-            _ => flow,
+            _ => shares.flow,
         }
     }
 
