@@ -330,12 +330,8 @@ def errors():
         return None if key not in kept.all and time.monotonic() - clock > limit else kept.of(key, measure)
 
     def add(group, s, name, truth):
-        if s is None:
-            return
-        # A figure without an error counts as one outside of it.
-        one = next((one for one in s["errors"] if one["name"] == name), {"error": 0.0, "value": math.nan})
-        ratio = one["error"] / max(abs(one["value"] - truth), 1e-12) if one["error"] else 0.0
-        groups.setdefault(group, []).append((ratio, abs(one["value"] / truth - 1), one["error"] / abs(truth)))
+        if s is not None:
+            judge(groups, group, s, name, truth)
 
     exact = "scenes with exact solutions: kinetic energy, heat flux of the wall"
     for method in ("consistent", "standard"):
@@ -375,10 +371,17 @@ def errors_around():
                 figures += [("drag", f"{at}.force[0]", body["force_x"], None), ("transverse force, in the drag", f"{at}.force[1]", body["force_y"], drag),
                             ("heat", f"{at}.heat", body["heat"], None)]
             for name, figure, truth, unit in figures:
-                one = next(one for one in s["errors"] if one["name"] == figure)
-                off, unit = abs(one["value"] - float(truth)), unit or abs(float(truth))
-                groups.setdefault(label + name, []).append((one["error"] / max(off, 1e-12), off / unit, one["error"] / unit))
+                judge(groups, label + name, s, figure, float(truth), unit)
     return held(groups)
+
+
+def judge(groups, group, s, name, truth, unit=None):
+    """Adds to a group the error of a figure over the true one, and both in a unit, without one that of the figure."""
+    # A figure without an error counts as one outside of it.
+    one = next((one for one in s["errors"] if one["name"] == name), {"error": 0.0, "value": math.nan})
+    off, unit = abs(one["value"] - truth), unit or abs(truth)
+    ratio = one["error"] / max(off, 1e-12) if one["error"] else 0.0
+    groups.setdefault(group, []).append((ratio, off / unit, one["error"] / unit))
 
 
 def held(groups):

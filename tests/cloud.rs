@@ -51,7 +51,7 @@ pub(crate) fn loaded(text: &str) -> Config {
 }
 
 /// The flow of a scene's text.
-fn solved(text: &str) -> (AroundShapes, Solution) {
+pub(crate) fn solved(text: &str) -> (AroundShapes, Solution) {
     let mut around = AroundShapes::new(&loaded(text)).unwrap();
     let numbers = around.flow.cloud.numbers();
     let solution = around.flow.solve(&numbers).unwrap();

@@ -16,6 +16,15 @@ pub(crate) fn corrected(text: &str) -> String {
     format!("method.deferred_correction = true\n{text}")
 }
 
+/// The scene with all kinds of sides, its reference cloud and equations.
+fn sides() -> (AroundShapes, Shaped, Equations) {
+    let around = AroundShapes::new(&loaded(&corrected(SIDES))).unwrap();
+    let cloud = &around.flow.cloud;
+    let shaped = cloud.shaped(&cloud.numbers()).unwrap();
+    let equations = cloud.equations(&shaped);
+    (around, shaped, equations)
+}
+
 fn third_order<'a>(cloud: &'a Cloud, equations: &'a Equations, shaped: &'a Shaped) -> ThirdOrder<'a> {
     ThirdOrder { equations, stencils: cloud.third.as_ref().unwrap(), operators: shaped.third.as_ref().unwrap() }
 }
@@ -23,10 +32,8 @@ fn third_order<'a>(cloud: &'a Cloud, equations: &'a Equations, shaped: &'a Shape
 /// What is added to the equations of a flow whose fields are cubic makes advection, pressure and continuity exact.
 #[test]
 fn slopes_of_cubic_flows_become_exact() {
-    let around = AroundShapes::new(&loaded(&corrected(SIDES))).unwrap();
+    let (around, shaped, equations) = sides();
     let cloud = &around.flow.cloud;
-    let shaped = cloud.shaped(&cloud.numbers()).unwrap();
-    let equations = cloud.equations(&shaped);
     let [x, y] = &shaped.position;
     let cubic = |a: f64, b: f64, c: f64| -> (Vec<f64>, Vec<[f64; 2]>) {
         let at = |x: f64, y: f64| {
@@ -63,10 +70,8 @@ fn slopes_of_cubic_flows_become_exact() {
 /// In time the same is added, smoothed, but for the rows of walls.
 #[test]
 fn what_is_added_in_time_is_the_same_smoothed() {
-    let around = AroundShapes::new(&loaded(&corrected(SIDES))).unwrap();
+    let (around, shaped, equations) = sides();
     let cloud = &around.flow.cloud;
-    let shaped = cloud.shaped(&cloud.numbers()).unwrap();
-    let equations = cloud.equations(&shaped);
     let (n, inside) = (cloud.particles(), equations.inside);
     let mut draw = noise(5);
     let mut state = State::at_rest(n);
@@ -139,10 +144,8 @@ fn means_keep_what_is_uniform_and_take_a_checkerboard_away() {
 
 #[test]
 fn the_adjoint_of_what_is_added_is_that_of_differences() {
-    let around = AroundShapes::new(&loaded(&corrected(SIDES))).unwrap();
+    let (around, shaped, equations) = sides();
     let cloud = &around.flow.cloud;
-    let shaped = cloud.shaped(&cloud.numbers()).unwrap();
-    let equations = cloud.equations(&shaped);
     let n = cloud.particles();
     let mut draw = noise(9);
     let mut state = State::at_rest(n);

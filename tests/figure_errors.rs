@@ -172,7 +172,7 @@ fn an_accuracy_of_what_is_not_steady_is_refused() {
     assert!(text.contains(said) && text.contains(advised), "{text}");
 }
 
-fn summary(folder: &Path) -> Value {
+pub(crate) fn summary(folder: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap()
 }
 

@@ -1,10 +1,9 @@
 //! Errors of figures from one solution, by dual-weighted residuals.
 
-use crate::cloud::{channel, loaded, shape, SIDES};
+use crate::cloud::{channel, shape, solved, SIDES};
 use crate::deferred_correction::corrected;
+use crate::figure_errors::summary;
 use crate::support::program::succeeds;
-use hydrograd::config::scene::Config;
-use hydrograd::scene::around_flow::Around;
 use hydrograd::scene::around_shapes::AroundShapes;
 use hydrograd::scene::record::Record;
 use hydrograd::scene::solution_error::SolutionErrors;
@@ -24,9 +23,8 @@ fn weighted(around: &mut AroundShapes, solution: &Solution, figures: &[Figure]) 
     figures.iter().map(of).collect()
 }
 
-fn errors(config: &Config) -> (Record, SolutionErrors) {
-    let mut around = AroundShapes::new(config).unwrap();
-    let solution = around.solve(&around.first()).unwrap();
+fn errors(text: &str) -> (Record, SolutionErrors) {
+    let (mut around, solution) = solved(text);
     let figures: serde_json::Map<String, Value> =
         around.summary(&solution).into_iter().map(|(name, value)| (name.to_string(), value)).collect();
     let record: Record = serde_json::from_value(json!(figures)).unwrap();
@@ -37,8 +35,7 @@ fn errors(config: &Config) -> (Record, SolutionErrors) {
 /// The sum over slopes is what a deferred correction changes a figure by, but for terms of second order in the change.
 #[test]
 fn sums_over_slopes_are_what_a_correction_changes() {
-    let mut around = AroundShapes::new(&loaded(&corrected(SIDES))).unwrap();
-    let solution = around.solve(&around.first()).unwrap();
+    let (mut around, solution) = solved(&corrected(SIDES));
     let first = solution.first.as_deref().unwrap().clone();
     let figures = [
         Figure::Force { shape: 0, along: 0 },
@@ -59,8 +56,7 @@ fn sums_over_slopes_are_what_a_correction_changes() {
         assert!((found.slopes - change).abs() < share * change.abs() + 1e-3 * size, "{figure:?}");
     }
     // A cloud without a correction makes the same fits when they are asked for.
-    let mut plain = AroundShapes::new(&loaded(SIDES)).unwrap();
-    let own = plain.solve(&plain.first()).unwrap();
+    let (mut plain, own) = solved(SIDES);
     for (own, found) in weighted(&mut plain, &own, &figures).iter().zip(&found) {
         let sums = [(own.slopes, found.slopes), (own.laplacians, found.laplacians)];
         let size: f64 = found.magnitude.iter().sum();
@@ -72,7 +68,7 @@ fn sums_over_slopes_are_what_a_correction_changes() {
 /// A flow whose fields are quadratic is that of its fits, and has no error.
 #[test]
 fn a_plane_flow_has_no_error() {
-    let (record, found) = errors(&loaded(&channel(0.05, "")));
+    let (record, found) = errors(&channel(0.05, ""));
     println!("{:?}", found.figures);
     assert!(record.number("flow_rate").unwrap() > 0.1);
     for one in found.figures.iter().filter(|one| one.value.abs() > 1e-6) {
@@ -95,7 +91,7 @@ fn finite_elements_are_within_the_errors() {
     for (kind, numbers, truths) in &bodies {
         for (dx, with) in [(0.03, false), (0.02, false), (0.02, true)] {
             let text = format!("{}{}", channel(dx, ""), shape(kind, numbers));
-            let (_, found) = errors(&loaded(&if with { corrected(&text) } else { text }));
+            let (_, found) = errors(&if with { corrected(&text) } else { text });
             for (name, truth) in names.iter().zip(truths) {
                 let one = found.figures.iter().find(|one| one.name == *name).unwrap();
                 let ratio = one.error / (one.value - truth).abs();
@@ -122,11 +118,8 @@ fn simulate_shows_where_the_error_comes_from() {
     let text = succeeds(at, &["simulate", "schaefer-turek-1", "--dx", "0.0109", "--error", "--out", "run"]);
     assert!(text.contains("error.png") && text.contains("19 of 20"), "{text}");
     assert!(at.join("run/error.png").exists() && at.join("run/error.svg").exists());
-    let read = |run: &str| -> Value {
-        serde_json::from_slice(&std::fs::read(at.join(run).join("summary.json")).unwrap()).unwrap()
-    };
-    let summary = read("run");
-    let all = summary["errors"].as_array().unwrap();
+    let record = summary(&at.join("run"));
+    let all = record["errors"].as_array().unwrap();
     let of = |name: &str| {
         let one = all.iter().find(|one| one["name"] == name).unwrap();
         [one["value"].as_f64().unwrap(), one["error"].as_f64().unwrap()]
@@ -136,7 +129,7 @@ fn simulate_shows_where_the_error_comes_from() {
     assert!((drag - truth).abs() < error && error < 0.02 * truth, "{drag} +- {error}, {truth}");
     let [drop, error] = of("objective");
     assert!((drop - 0.11752).abs() < error && error < 0.1 * 0.11752, "{drop} +- {error}");
-    assert_eq!(summary["objective_error"], error);
+    assert_eq!(record["objective_error"], error);
     let frame = hydrograd::io::vtk::read_vtp(&at.join("run/particles/particles_000000.vtp")).unwrap();
     let (_, density) = frame.scalars.iter().find(|(name, _)| *name == "error").unwrap();
     assert!(density.iter().all(|x| *x >= 0.0));
@@ -144,5 +137,5 @@ fn simulate_shows_where_the_error_comes_from() {
     assert!(page.contains("error.svg"), "the picture is not on the page");
     // Without being asked nothing of this is made.
     succeeds(at, &["simulate", "schaefer-turek-1", "--dx", "0.0109", "--out", "plain"]);
-    assert!(!at.join("plain/error.png").exists() && read("plain")["errors"].is_null());
+    assert!(!at.join("plain/error.png").exists() && summary(&at.join("plain"))["errors"].is_null());
 }

@@ -179,7 +179,7 @@ pub fn simulate(loaded: &Loaded, folder: &Path, earlier: Earlier, asks_errors: b
     let mut more: Vec<(&str, &[f64])> = vec![];
     if let Some(SolutionErrors { figures, density }) = &errors {
         if let Some(first) = figures.first() {
-            files::plot_error(folder, &first.name, &map, &around.field_of(&solution, density))?;
+            files::plot_error(folder, &first.name, &map, density)?;
             more.push(("error", density));
         }
     }

@@ -149,7 +149,9 @@ pub fn plot_maps(folder: &Path, panels: &[(&str, &FieldMap)], has_vorticity: boo
 }
 
 /// Plots `error.png`: where the error of a figure comes from. The colours end at what 99 of 100 cells do not exceed.
-pub fn plot_error(folder: &Path, figure: &str, map: &FieldMap, field: &Field) -> anyhow::Result<()> {
+/// `density`: what each particle has of it, `[N]`.
+pub fn plot_error(folder: &Path, figure: &str, map: &FieldMap, density: &[f64]) -> anyhow::Result<()> {
+    let field = &map.of_particles(density);
     let mut known: Vec<f64> = field.values.iter().copied().filter(|x| x.is_finite()).collect();
     known.sort_by(f64::total_cmp);
     let high = known.get(known.len() * 99 / 100).copied().unwrap_or(0.0).max(1e-300);

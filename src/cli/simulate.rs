@@ -140,12 +140,9 @@ pub fn run(mut loaded: Loaded, arguments: SimulateArguments, ranks: &Ranks) -> a
         loaded = spacings.accurate(&loaded, accuracy)?;
     }
     let asks_errors = error || accuracy.is_some();
-    if loaded.config.knows_its_errors() {
-        // It is found anew in a moment.
-        return around_shapes::simulate(&loaded, &folder, earlier(&folder, resume, Earlier::Replaced), asks_errors);
-    }
-    simulate(&loaded, &folder, resume, halvings, ranks)?;
-    match asks_errors {
+    simulate(&loaded, &folder, resume, halvings, asks_errors, ranks)?;
+    // A flow that knows its errors has told them.
+    match asks_errors && !loaded.config.knows_its_errors() {
         true => figure_errors::add(&loaded, &folder, &mut spacings),
         false => Ok(()),
     }
@@ -216,6 +213,7 @@ fn simulate(
     folder: &Path,
     resume: Option<&Path>,
     halvings: usize,
+    asks_errors: bool,
     ranks: &Ranks,
 ) -> anyhow::Result<()> {
     if loaded.config.is_around_shapes() {
@@ -230,7 +228,12 @@ fn simulate(
                 false => around_in_time::simulate(loaded, &AroundShapes::new(&loaded.config)?, folder, earlier),
             };
         }
-        return around_bodies::simulate(loaded, folder, earlier(folder, resume, Earlier::Replaced));
+        // It is found anew in a moment.
+        let earlier = earlier(folder, resume, Earlier::Replaced);
+        return match loaded.config.is_around_bodies() {
+            true => around_bodies::simulate(loaded, folder, earlier),
+            false => around_shapes::simulate(loaded, folder, earlier, asks_errors),
+        };
     }
     interrupt::listen(format!("hydrograd simulate --resume {}", folder.display()))?;
     match loaded.config.run.precision {

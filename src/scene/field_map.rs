@@ -23,12 +23,25 @@ pub struct FieldMap {
     pub streamlines: Vec<Vec<[f64; 2]>>,
     /// Closed outlines of the shapes and of their periodic images.
     pub walls: Vec<Vec<[f64; 2]>>,
+    /// The nearest particle of each cell; none inside of shapes.
+    nearest: Vec<Option<usize>>,
+}
+
+impl FieldMap {
+    /// What particles have, `[N]`, as a field: in each cell that of the nearest one.
+    pub fn of_particles(&self, values: &[f64]) -> Field {
+        let values = self.nearest.iter().map(|nearest| nearest.map_or(f64::NAN, |i| values[i])).collect();
+        Field { cells: self.speed.cells, corners: self.speed.corners, values }
+    }
 }
 
 impl AroundShapes {
-    /// The cells of a picture, and what is seen in the middle of each.
-    fn samples(&self, interpolation: &Interpolation<'_>) -> ([usize; 2], Vec<Option<Sample>>) {
-        let [low, high] = self.flow.cloud.places.corners;
+    /// The fields of a flow.
+    pub fn map(&self, solution: &Solution) -> FieldMap {
+        let cloud = &self.flow.cloud;
+        let (plane, shaped, state) = (cloud.ground.plane, &solution.shaped, &solution.state);
+        let interpolation = Interpolation::new(cloud, shaped);
+        let [low, high] = cloud.places.corners;
         let size = [high[0] - low[0], high[1] - low[1]];
         let cell = size[0].max(size[1]) / CELLS;
         let cells = size.map(|size| (size / cell).round().max(2.0) as usize);
@@ -38,24 +51,7 @@ impl AroundShapes {
                 low[d] + (k as f64 + 0.5) * size[d] / cells[d] as f64
             })
         };
-        (cells, (0..cells[0] * cells[1]).map(|k| interpolation.sample(middle(k))).collect())
-    }
-
-    /// What particles have, `[N]`, as a field: at each point that of the nearest one.
-    pub fn field_of(&self, solution: &Solution, values: &[f64]) -> Field {
-        let (cells, samples) = self.samples(&Interpolation::new(&self.flow.cloud, &solution.shaped));
-        let values = samples.iter().map(|sample| sample.map_or(f64::NAN, |sample| values[sample.particle])).collect();
-        Field { cells, corners: self.flow.cloud.places.corners, values }
-    }
-
-    /// The fields of a flow.
-    pub fn map(&self, solution: &Solution) -> FieldMap {
-        let cloud = &self.flow.cloud;
-        let (plane, shaped, state) = (cloud.ground.plane, &solution.shaped, &solution.state);
-        let interpolation = Interpolation::new(cloud, shaped);
-        let [low, high] = cloud.places.corners;
-        let size = [high[0] - low[0], high[1] - low[1]];
-        let (cells, samples) = self.samples(&interpolation);
+        let samples: Vec<Option<Sample>> = (0..cells[0] * cells[1]).map(|k| interpolation.sample(middle(k))).collect();
         let d = self.flow.solver.equations.derivatives(&shaped.operators, state, true);
         let value = |sample: &Sample, f: usize| sample.value(&shaped.position, &state.fields[f], &d.0[f]);
         let slope = |sample: &Sample, f: usize| sample.slope(&shaped.position, &d.0[f]);
@@ -93,6 +89,7 @@ impl AroundShapes {
             temperature,
             streamlines: streamlines(&velocity, &seeds, spacing, least),
             walls: walls.collect(),
+            nearest: samples.iter().map(|sample| sample.map(|sample| sample.particle)).collect(),
             speed,
         }
     }

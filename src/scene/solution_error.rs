@@ -64,7 +64,6 @@ impl AroundShapes {
             "pressure_drop" => one(Figure::PressureDrop),
             "dissipation" => one(Figure::Dissipation),
             "heat_outflow" => one(Figure::HeatOutflow),
-            "body_force" => Some(vec![]),
             _ => {
                 let (shape, figure) = name.strip_prefix("shapes[")?.split_once('.')?;
                 let shape = index(shape)?;
@@ -78,9 +77,17 @@ impl AroundShapes {
         }
     }
 
+    fn shares(&self) -> &'static Shares {
+        if self.config().is_corrected() {
+            &SHARES_CORRECTED
+        } else {
+            &SHARES
+        }
+    }
+
     /// What the error of a figure is of its weighted residual.
     fn share(&self, solution: &Solution, figure: Figure) -> Share {
-        let shares = if self.config().is_corrected() { SHARES_CORRECTED } else { SHARES };
+        let shares = self.shares();
         match figure {
             Figure::Heat { .. } | Figure::HeatOutflow => shares.heat,
             Figure::Torque { .. } => shares.torque,
@@ -96,6 +103,23 @@ impl AroundShapes {
         }
     }
 
+    /// The cotangents of a figure of a record, and what its error is of its weighted residual; none for those that follow from no flow.
+    fn cotangents(&self, solution: &Solution, name: &str) -> Option<(Bar, Share)> {
+        let mut bar = Bar::new(self.flow.cloud.particles(), solution.shaped.area.len());
+        if name == "body_force" {
+            bar.drive = 1.0;
+            return Some((bar, self.shares().flow));
+        }
+        let mut share = Share { sums: 0.0, magnitudes: 0.0 };
+        for (figure, weight) in self.terms_of(solution, name)? {
+            self.flow.measures.pull_back(figure, &self.flow.at(solution), weight, &mut bar);
+            let own = self.share(solution, figure);
+            share.sums = share.sums.max(own.sums);
+            share.magnitudes = share.magnitudes.max(own.magnitudes);
+        }
+        Some((bar, share))
+    }
+
     /// The errors of the figures of a steady flow.
     ///
     /// # Errors
@@ -104,19 +128,7 @@ impl AroundShapes {
         let mut found = SolutionErrors { figures: vec![], density: vec![] };
         let residual = self.flow.residual(solution).map_err(|why| no_solution(self.config(), &why))?;
         for (name, value) in figures(record) {
-            let Some(terms) = self.terms_of(solution, &name) else { continue };
-            let mut bar = Bar::new(self.flow.cloud.particles(), solution.shaped.area.len());
-            let mut share = Share { sums: 0.0, magnitudes: 0.0 };
-            if name == "body_force" {
-                bar.drive = 1.0;
-                share = self.share(solution, Figure::FlowRate);
-            }
-            for (figure, weight) in terms {
-                self.flow.measures.pull_back(figure, &self.flow.at(solution), weight, &mut bar);
-                let own = self.share(solution, figure);
-                share.sums = share.sums.max(own.sums);
-                share.magnitudes = share.magnitudes.max(own.magnitudes);
-            }
+            let Some((bar, share)) = self.cotangents(solution, &name) else { continue };
             let weighted = self.flow.weighted_residual(solution, &residual, &bar);
             let Weighted { slopes, laplacians, magnitude } =
                 weighted.map_err(|why| no_solution(self.config(), &why))?;

@@ -167,6 +167,11 @@ impl<'a> Sight<'a> {
         Self { plane: ground.plane, places, points, boundary, distance }
     }
 
+    /// The nearest of all particles that a particle sees, with their distances.
+    fn nearest(&self, all: &Nearest, i: usize, count: usize) -> Vec<(f64, u32)> {
+        all.of(self.places.place[i], count, |j, _| j != i && self.sees(i, j))
+    }
+
     /// `j` is nearer to `i` than it is far.
     fn sees(&self, i: usize, j: usize) -> bool {
         let places = self.places;
@@ -273,7 +278,7 @@ impl Cloud {
         let places = ground.fill().map_err(Unusable::Placing)?;
         let (near, wall_fits) = {
             let (all, sight) = (Nearest::new(ground.plane, ground.dx, &places.place), Sight::new(&ground, &places));
-            let of = |i: usize, count: usize| all.of(places.place[i], count, |j, _| j != i && sight.sees(i, j));
+            let of = |i: usize, count: usize| sight.nearest(&all, i, count);
             let on_wall = |point: &BoundaryPoint| {
                 let is_on_body = point.on.is_some_and(|(shape, _)| places.bodies.contains(&shape));
                 let near = (!is_on_body && fluid.diffusivity.is_some())
@@ -308,8 +313,7 @@ impl Cloud {
     pub fn third_order(&self) -> Result<Stencils, Unusable> {
         let (ground, places, count) = (&self.ground, &self.places, deferred_correction::NEIGHBOURS);
         let (all, sight) = (Nearest::new(ground.plane, ground.dx, &places.place), Sight::new(ground, places));
-        let of = |i: usize| all.of(places.place[i], count + 1, |j, _| j != i && sight.sees(i, j));
-        let near: Vec<_> = (0..places.place.len()).map(of).collect();
+        let near: Vec<_> = (0..places.place.len()).map(|i| sight.nearest(&all, i, count + 1)).collect();
         stencils_of(ground, places, &near, count, true)
     }
 
