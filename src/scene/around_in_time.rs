@@ -388,6 +388,10 @@ impl<K: Conditions<D>, const D: usize, const F: usize, const C: usize> InTime<D,
         for (to, &wanted) in parameters.iter_mut().zip(self.wanted).filter(|(_, &w)| self.cloud.is_parameter(w)) {
             *to += self.cloud.by_parameter(places, numbers, &bar.boundary, wanted, time);
         }
+        // Particles move with a shape, not with parameters of what its wall does.
+        if self.wanted.iter().all(|&w| self.cloud.is_parameter(w)) {
+            return;
+        }
         let inside = self.cloud.inside();
         let by_places = self.cloud.conditions_back(places, numbers, &bar.boundary, Some(time));
         for (k, by_place) in by_places.iter().enumerate() {

@@ -121,13 +121,20 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
         let value = rows(&|k| is(matches!(motion(k), Motion::Given(_)) || motion(k) == Motion::Symmetry(e)))?;
         let given = rows(&|k| if let Motion::Given(given) = motion(k) { given[e] } else { 0.0 })?;
         let mut row = (within[e].mul(&is_inside)? + (own.mul(&value)? - given)?)?;
-        for along in 0..2 {
+        // Slopes along x and y, and S.
+        for derivative in [0, 1, LEFT] {
             let free = rows(&|k| {
-                let is_out = motion(k) == Motion::Outflow(along);
-                let factor = if is_out && along == e { equations.viscosity } else { 1.0 };
-                factor * is(is_out || (motion(k) == Motion::Symmetry(along) && along != e))
+                let (condition, is_slope_along) = (equations.conditions[k], |along: usize| derivative == along);
+                match condition.motion {
+                    Motion::Outflow(along) if along == e => equations.viscosity * is(is_slope_along(along)),
+                    Motion::Symmetry(along) | Motion::Outflow(along) if along != e => {
+                        let [slope, rest] = condition.no_slope(along, equations.smoothing(inside + k));
+                        slope * is(is_slope_along(along)) + rest * is(derivative == LEFT)
+                    }
+                    _ => 0.0,
+                }
             })?;
-            row = (row + slopes[along].mul(&free)?)?;
+            row = (row + slopes[derivative].mul(&free)?)?;
         }
         residual.push((row - p.mul(&rows(&|k| is(motion(k) == Motion::Outflow(e)))?)?)?);
     }

@@ -29,6 +29,8 @@ pub trait Conditions<const D: usize> {
     fn varies(&self, point: usize) -> bool;
     /// Whether conditions depend on time.
     fn has_time(&self) -> bool;
+    /// Whether what holds at a point, which is there, may depend on the numbers of a shape.
+    fn depends(&self, point: usize, place: [f64; D], shape: usize) -> bool;
     /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of a surface.
     fn is_parameter(&self, number: (usize, usize)) -> bool;
 
@@ -93,9 +95,10 @@ pub trait Conditions<const D: usize> {
         };
         let (up, down) = (with(1.0), with(-1.0));
         let of = |k: usize| {
-            let at = |numbers: &[Vec<f64>]| self.condition(k, self.place(position, k), time, numbers);
-            difference(&bar[k], at(&up), at(&down)) / (2.0 * step)
+            let place = self.place(position, k);
+            let at = |numbers: &[Vec<f64>]| self.condition(k, place, time, numbers);
+            self.depends(k, place, shape).then(|| difference(&bar[k], at(&up), at(&down)) / (2.0 * step))
         };
-        (0..self.points()).map(of).sum()
+        (0..self.points()).filter_map(of).sum()
     }
 }

@@ -246,6 +246,12 @@ impl Conditions<2> for Cloud {
         self.surroundings.has_time()
     }
 
+    fn depends(&self, point: usize, place: [f64; 2], shape: usize) -> bool {
+        let point = &self.places.boundary[point];
+        let behind = || self.surroundings.shape_behind(point, place);
+        point.on.map(|(own, _)| own).or_else(behind) == Some(shape)
+    }
+
     fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
         number >= self.ground.outlines[shape].geometry
     }

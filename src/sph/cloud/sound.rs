@@ -53,7 +53,7 @@ const START: f64 = 0.5;
 const STABLE: f64 = 2.0;
 /// Iterations that find it.
 const ITERATIONS: usize = 60;
-/// Weight of S in the pressure of walls, in scales of the fit. (In space with 1 rates are ten times as fast as sound, and the flow around a
+/// Weight of S beside slopes across the boundary, in scales of the fit. (In space with 1 rates are ten times as fast as sound, and the flow around a
 /// ball is not finite; with 3 and 6 they are not, and its drag is the same.)
 const SMOOTHING: f64 = 3.0;
 /// Numbers of a vector.
@@ -282,7 +282,6 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
 
     /// The equations of a field on the boundary.
     fn edge(&self, f: usize, order: &Arc<Order>) -> Result<Edge<F>, NoSteadyState> {
-        let along = |d: usize| Some(std::array::from_fn(|a| if a == d { 1.0 } else { 0.0 }));
         let across = |k: usize| -> Option<[f64; F]> {
             let (normal, scale) =
                 (self.medium.conditions[k].normal, self.medium.fits.all.scale(self.medium.inside + k));
@@ -297,8 +296,8 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
             (_, f) if f == D => across(k),
             (Condition { warmth: Warmth::Given(_), .. }, f) if f > D => None,
             (_, f) if f > D => across(k),
-            (Condition { motion: Motion::Symmetry(d), .. }, e) if d != e => along(d),
-            (Condition { motion: Motion::Outflow(d), .. }, _) => along(d),
+            (Condition { motion: Motion::Symmetry(d), .. }, e) if d != e => across(k),
+            (Condition { motion: Motion::Outflow(_), .. }, _) => across(k),
             _ => None,
         };
         let rows: Vec<_> = (0..self.points()).map(row).collect();
@@ -621,6 +620,11 @@ impl<L: Lanes<Real = f64>, const FIELDS: usize> Vectors<L, FIELDS> {
     #[inline(always)]
     pub fn minus(&self, other: &Self) -> Self {
         Self(array(|q| if q < Self::COUNT { self.0[q] - other.0[q] } else { L::zero() }))
+    }
+
+    #[inline(always)]
+    pub fn plus(&self, other: &Self) -> Self {
+        Self(array(|q| if q < Self::COUNT { self.0[q] + other.0[q] } else { L::zero() }))
     }
 
     /// Adds a multiple of others.

@@ -35,6 +35,9 @@ pub struct Heard<'a, const D: usize, const F: usize, const C: usize> {
     pub by_positions: bool,
 }
 
+/// Times are one if they are no further apart, in parts of steps: they differ by rounding.
+const NEAR: f64 = 1e-6;
+
 /// What is known while steps are gone through backwards.
 struct Found<const D: usize, const F: usize, const C: usize> {
     /// Of the coefficients of pairs, in the order of the flow's table; empty if positions do not matter.
@@ -42,10 +45,22 @@ struct Found<const D: usize, const F: usize, const C: usize> {
     all: Cotangents<D, F, C>,
     /// Of a moment.
     bar: Bar<D, F, C>,
+    /// Moments that earlier parts of steps look at, too.
+    shared: Vec<Moment<D>>,
 }
 
-/// Times, and the cotangents of what holds on the boundary then.
-type AtTimes<const D: usize, const N: usize> = [(f64, Vec<BoundaryBar<D>>); N];
+/// A time, and the cotangents of what holds on the boundary then.
+type Moment<const D: usize> = (f64, Vec<BoundaryBar<D>>);
+
+impl<const D: usize, const F: usize, const C: usize> Found<D, F, C> {
+    /// The moment at a time: what later parts of steps made of it, or no cotangents.
+    fn moment(&mut self, time: f64, near: f64) -> Moment<D> {
+        match self.shared.iter().position(|(at, _)| (at - time).abs() < near) {
+            Some(k) => self.shared.swap_remove(k),
+            None => (time, vec![BoundaryBar::default(); self.bar.boundary.len()]),
+        }
+    }
+}
 
 /// Cotangents of the sums of each field at a particle: `[sum][field]`.
 type Weights<const F: usize> = [Record; F];
@@ -175,16 +190,11 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         self.centre(y_bar);
     }
 
-    /// No cotangents of what holds at some times.
-    fn bars<const N: usize>(&self, times: [f64; N]) -> AtTimes<D, N> {
-        times.map(|time| (time, vec![BoundaryBar::default(); self.medium.conditions.len()]))
-    }
-
     /// Adds what moments say of walls.
-    fn gather_all<const N: usize>(
+    fn gather_all(
         &self,
         boundary: &dyn InTime<D, F, C>,
-        moments: AtTimes<D, N>,
+        moments: impl IntoIterator<Item = Moment<D>>,
         found: &mut Found<D, F, C>,
     ) {
         for (time, bar) in moments {
@@ -216,9 +226,11 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         let times = Self::moments((time, dt));
         let walls = self.walls(boundary, times, 0.5 * dt);
         let apart = boundary.changes().then_some(dt);
-        // What holds at a time is looked at once, for all stages.
-        let mut bars = self.bars(times);
-        let [a, b, c, d] = bars.each_mut().map(|(_, bar)| bar);
+        // What holds at a time is gathered once, for all stages of this part and of those beside it.
+        let mut moments = times.map(|time| found.moment(time, NEAR * dt));
+        let passed = std::mem::take(&mut found.shared);
+        self.gather_all(boundary, passed, found);
+        let [a, b, c, d] = moments.each_mut().map(|(_, bar)| bar);
         self.fill_back(&states[STAGES.len()], &walls[1], ([b, c, d], apart), &mut after, found);
         let count = self.medium.inside * Self::WIDTH;
         // z+ = z + sum of weighted rates; behind the last stage no other begins with its rates.
@@ -242,7 +254,9 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
             before.iter_mut().zip(&own).for_each(|(to, from)| *to += from);
             of_next = Some((at * dt, own));
         }
-        self.gather_all(boundary, bars, found);
+        let [first, second, third, last] = moments;
+        self.gather_all(boundary, [third, last], found);
+        found.shared = vec![first, second];
         before
     }
 }
@@ -270,6 +284,7 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
                 start: std::array::from_fn(|_| vec![]),
             },
             bar: Bar::new(n, points),
+            shared: vec![],
         };
         let mut of_figures = PairCotangents::zeros(stencils);
         // Keeps the filled fields of all stages, if it is asked to.
@@ -330,11 +345,13 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
                 stages.clear();
             }
         }
-        let mut bars = flow.bars(at_start);
+        let passed = std::mem::take(&mut found.shared);
+        flow.gather_all(self.boundary, passed, &mut found);
+        let mut moments = at_start.map(|time| found.moment(time, 0.0));
         let apart = self.boundary.changes().then_some(2.0 * apart);
-        let around = bars.each_mut().map(|(_, bar)| bar);
+        let around = moments.each_mut().map(|(_, bar)| bar);
         flow.fill_back(&filled_first, walls, (around, apart), &mut y_bar, &mut found);
-        flow.gather_all(self.boundary, bars, &mut found);
+        flow.gather_all(self.boundary, moments, &mut found);
         let Found { pairs, mut all, .. } = found;
         all.start = flow.unpacked(&y_bar).fields;
         // The Laplacian is a sum of second derivatives.
@@ -404,15 +421,19 @@ struct RatesBack<'a, const D: usize, const F: usize, const C: usize> {
 }
 
 impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
-    /// The cotangents of the sums of a particle and of its own fields, and what its rates make of that of the viscosity.
+    /// A particle's fields, and the cotangents of its rates.
     #[inline(always)]
-    fn weights<L: Lanes<Real = f64>>(&self, i: usize) -> (Weights<F>, Record, f64) {
-        let (flow, fluid) = (self.flow, &self.flow.medium.fluid);
+    fn own(&self, i: usize) -> (&[f64], &[f64]) {
         let at = WithSound::<D, F, C>::at(i, 0);
-        let (own, rho) = (&self.y[at..][..F], &self.rate_bar[at..][..F]);
-        let sums = flow.all_sums::<L>(self.y, i);
-        let (diffusion, mut viscosity) = (flow.diffusion(), 0.0);
-        let (mut weights, mut own_bar): (Weights<F>, Record) = ([[0.0; MOST]; F], [0.0; MOST]);
+        (&self.y[at..][..F], &self.rate_bar[at..][..F])
+    }
+
+    /// The cotangents of the sums of a particle.
+    #[inline(always)]
+    fn weights(&self, i: usize) -> Weights<F> {
+        let (flow, (own, rho)) = (self.flow, self.own(i));
+        let diffusion = flow.diffusion();
+        let mut weights: Weights<F> = [[0.0; MOST]; F];
         for f in 0..F {
             if f == D {
                 continue;
@@ -420,19 +441,35 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
             weights[D][f] = diffusion[f] * rho[f];
             for d in 0..D {
                 weights[d][f] = -own[d] * rho[f];
-                own_bar[d] -= sums[d][f] * rho[f];
+            }
+        }
+        for e in 0..D {
+            weights[e][D] = -rho[e];
+            weights[e][e] -= flow.medium.sound * flow.medium.sound * rho[D];
+        }
+        weights[D + 1][D] = flow.damping[i] * rho[D];
+        weights
+    }
+
+    /// The cotangents of a particle's own fields, and what its rates make of that of the viscosity, given its sums.
+    #[inline(always)]
+    fn own_bar(&self, i: usize, sums: &[Record; F]) -> (Record, f64) {
+        let (_, rho) = self.own(i);
+        let (mut own_bar, mut viscosity) = ([0.0; MOST], 0.0);
+        for d in 0..D {
+            for f in 0..F {
+                if f != D {
+                    own_bar[d] -= sums[d][f] * rho[f];
+                }
             }
         }
         for e in 0..D {
             viscosity += sums[D][e] * rho[e];
-            weights[e][D] = -rho[e];
-            weights[e][e] -= flow.medium.sound * flow.medium.sound * rho[D];
-            if let Some(buoyancy) = fluid.buoyancy {
+            if let Some(buoyancy) = self.flow.medium.fluid.buoyancy {
                 own_bar[D + 1] += buoyancy.by[e] * rho[e];
             }
         }
-        weights[D + 1][D] = flow.damping[i] * rho[D];
-        (weights, own_bar, viscosity)
+        (own_bar, viscosity)
     }
 
     /// `SUMS`: F, rounded up to whole vectors.
@@ -441,17 +478,20 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
         let (flow, at) = (self.flow, WithSound::<D, F, C>::at);
         let start = flow.first[part.particles.start];
         for i in part.particles.clone() {
-            let (weights, own_bar, viscosity) = self.weights::<L>(i);
-            part.viscosity += viscosity;
+            let weights = self.weights(i);
             let by_sum: [Vectors<L, FIELDS>; F] = array(|a| Vectors::load(&weights[a], 0));
             // What the cotangents of a pair's coefficients get of each field's difference.
             let by_field: [Vectors<L, SUMS>; F] =
                 array(|f| Vectors::load(&array::<f64, SUMS>(|a| if a < F { weights[a][f] } else { 0.0 }), 0));
-            let mut total = Vectors::<L, FIELDS>::load(&own_bar, 0);
+            let own = Vectors::<L, FIELDS>::load(self.y, at(i, 0));
+            let mut sums = [Vectors::<L, FIELDS>::zero(); F];
+            let mut total = Vectors::<L, FIELDS>::zero();
             for pair in flow.pairs(i) {
                 let (other, c) = (at(flow.list[pair] as usize, 0), flow.pair(pair));
+                let difference = Vectors::load(self.y, other).minus(&own);
                 let mut along = Vectors::<L, FIELDS>::zero();
                 for a in 0..F {
+                    sums[a].add(c[a], &difference);
                     along.add(c[a], &by_sum[a]);
                 }
                 along.add_to(&mut part.y_bar, other);
@@ -467,7 +507,9 @@ impl<const D: usize, const F: usize, const C: usize> RatesBack<'_, D, F, C> {
                     }
                 }
             }
-            total.add_to(&mut part.y_bar, at(i, 0));
+            let (own_bar, viscosity) = self.own_bar(i, &array(|a| sums[a].numbers()));
+            part.viscosity += viscosity;
+            total.plus(&Vectors::load(&own_bar, 0)).add_to(&mut part.y_bar, at(i, 0));
         }
     }
 }

@@ -22,7 +22,7 @@ pub const PRESSURE: usize = 3;
 pub const TEMPERATURE: usize = 4;
 /// Unknowns of the flow at a particle.
 pub const FLOW: usize = 4;
-/// Weight of S T beside the derivative across a wall, in scales of the fit.
+/// Weight of S beside the derivative across a boundary, in scales of the fit.
 const SMOOTHING: f64 = 1.0;
 
 /// Where the temperature of a particle does not follow from conduction.
@@ -84,6 +84,11 @@ impl Equations {
         SMOOTHING * self.fits.all.scale(i)
     }
 
+    /// See [`Condition::no_slope`].
+    pub(super) fn no_slope(&self, i: usize, d: usize) -> [f64; 2] {
+        self.conditions[i - self.inside].no_slope(d, self.smoothing(i))
+    }
+
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and the mean of p is 0.
     pub fn gives_pressure(&self) -> bool {
         self.conditions.iter().any(|condition| matches!(condition.motion, Motion::Outflow(_)))
@@ -141,7 +146,10 @@ impl Equations {
                     }
                     Some(Motion::Given(given)) => u[e] - given[e],
                     Some(Motion::Symmetry(along)) if along == e => u[e],
-                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => d.0[e][i][along],
+                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
+                        let ([slope, rest], of) = (self.no_slope(i, along), &d.0[e][i]);
+                        slope * of[along] + rest * of[LEFT]
+                    }
                 };
             }
             if let Some(Condition { motion: Motion::Outflow(_), .. }) = self.condition(i) {
@@ -207,7 +215,9 @@ impl Equations {
                     Some(Motion::Given(_)) => bar.boundary[i - self.inside].velocity[e] -= row[e],
                     Some(Motion::Symmetry(along)) if along == e => {}
                     Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
-                        bar.derivatives.0[e][i][along] += row[e];
+                        let ([slope, rest], to) = (self.no_slope(i, along), &mut bar.derivatives.0[e][i]);
+                        to[along] += slope * row[e];
+                        to[LEFT] += rest * row[e];
                     }
                 }
             }

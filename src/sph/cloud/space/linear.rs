@@ -97,7 +97,10 @@ impl Linear {
                 let carried = match motion {
                     None => dot(u, &c) - equations.viscosity * laplacian(&c),
                     Some(Motion::Given(_)) => 0.0,
-                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => c[along],
+                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
+                        let [slope, rest] = equations.no_slope(i, along);
+                        slope * c[along] + rest * c[LEFT]
+                    }
                 };
                 let pair = [carried, c[0], c[1], c[2], -equations.damping[i] * c[LEFT]];
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);

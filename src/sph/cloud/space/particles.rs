@@ -262,6 +262,10 @@ impl Conditions<3> for Cloud {
         self.surroundings.has_time()
     }
 
+    fn depends(&self, point: usize, _: [f64; 3], shape: usize) -> bool {
+        self.places.boundary[point].on.as_ref().is_some_and(|(own, _)| *own == shape)
+    }
+
     fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
         number >= self.ground.surfaces[shape].geometry
     }
