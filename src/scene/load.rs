@@ -538,8 +538,13 @@ pub fn check_shape(config: &Config) -> Result<(), BadInput> {
 
 /// Sides that are given say which directions are periodic, if `region.periodic` does not, and that an inflow drives the flow.
 fn given_sides(merged: &mut Merged, config: &Config) {
+    let (sides, dimension) = (config.region.sides.all(), config.region.size.len());
     let mut periodic = config.region.periodic.clone();
-    for (k, (_, side)) in config.region.sides.all().into_iter().enumerate() {
+    if sides.iter().any(|(_, side)| side.is_some()) {
+        // The defaults are those of the plane.
+        periodic.resize(dimension, false);
+    }
+    for (k, (_, side)) in sides.into_iter().enumerate() {
         if let (Some(side), Some(periodic)) = (side, periodic.get_mut(k / 2)) {
             *periodic = side.kind == SideKind::Periodic;
         }
@@ -548,10 +553,9 @@ fn given_sides(merged: &mut Merged, config: &Config) {
         merged.set("region.periodic", Value::Array(Array::from_iter(periodic)), "region.sides");
     }
     // The body force of the scene's defaults is that of a periodic channel.
-    let enters =
-        config.region.sides.all().iter().any(|(_, side)| side.is_some_and(|side| side.kind == SideKind::Inflow));
+    let enters = sides.iter().any(|(_, side)| side.is_some_and(|side| side.kind == SideKind::Inflow));
     if enters && !merged.places().contains_key("region.acceleration") {
-        let none = config.region.acceleration.iter().map(|_| 0.0);
+        let none = vec![0.0; dimension];
         merged.set("region.acceleration", Value::Array(Array::from_iter(none)), "region.sides");
     }
 }
