@@ -14,7 +14,7 @@ use hydrograd::sph::cloud::space::equations::Motion;
 use hydrograd::sph::cloud::space::fits::{fits, Where};
 use hydrograd::sph::cloud::space::particles::{Cloud, Surroundings};
 use hydrograd::sph::cloud::space::placing::{BoundaryPoint, Ground};
-use hydrograd::sph::cloud::space::problem::SteadyFlow;
+use hydrograd::sph::cloud::space::problem::{Solution, SteadyFlow};
 use hydrograd::sph::cloud::space::surface::{Form, Surface};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -42,6 +42,18 @@ fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64)
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
     SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balanced: Balanced::All }, 2)
         .expect("a flow")
+}
+
+/// The steady flow of a scene.
+fn solved(text: &str) -> (AroundBodies, Solution) {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scene.toml");
+    std::fs::write(&file, text).unwrap();
+    let config = Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config;
+    let mut around = AroundBodies::new(&config).unwrap();
+    let numbers = around.flow.cloud.numbers();
+    let solution = around.flow.solve(&numbers).expect("a flow");
+    (around, solution)
 }
 
 /// A cloud of points without order: every third near a shape, every seventh on a boundary.
@@ -215,14 +227,7 @@ fn a_flow_is_the_same_wherever_its_period_begins() {
     };
     for shape in ["disc", "box", "spline"] {
         let figures = |place: [f64; 2]| {
-            let folder = tempfile::tempdir().unwrap();
-            let file = folder.path().join("scene.toml");
-            std::fs::write(&file, text(shape, place)).unwrap();
-            let config =
-                Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config;
-            let mut around = AroundBodies::new(&config).unwrap();
-            let numbers = around.flow.cloud.numbers();
-            let solution = around.flow.solve(&numbers).unwrap();
+            let (around, solution) = solved(&text(shape, place));
             let all = [
                 Figure::FlowRate,
                 Figure::Force { shape: 0, along: 0 },
@@ -315,13 +320,7 @@ fn fluid_leaves_no_faster_than_it_flows() {
         region.sides.bottom = { kind = \"inflow\", velocity = [0, \"11*z*(1-z)*x*(1.2-x)\", 0] }\nregion.sides.top = { kind = \"outflow\" }\n\
         [[shapes]]\nkind = \"disc\"\ncentre = [0.72, 0.5, 0.4]\nradius = 0.24\n\
         [[shapes]]\nkind = \"box\"\nlower = [0.3, 1.05, 0.6]\nupper = [0.7, 1.35, 0.85]\n";
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("scene.toml");
-    std::fs::write(&file, text).unwrap();
-    let config = Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap().config;
-    let mut around = AroundBodies::new(&config).unwrap();
-    let numbers = around.flow.cloud.numbers();
-    let solution = around.flow.solve(&numbers).expect("a flow");
+    let (around, solution) = solved(text);
     let inside = around.flow.cloud.places.inside;
     let fastest = |range: std::ops::Range<usize>| {
         range.map(|i| solution.state.velocity(i).iter().map(|u| u * u).sum::<f64>().sqrt()).fold(0.0, f64::max)
@@ -333,6 +332,26 @@ fn fluid_leaves_no_faster_than_it_flows() {
     ];
     println!("{leaves} of {flows}");
     assert!(flows > 0.9 && leaves > 0.2 && leaves < flows, "{leaves} of {flows}");
+}
+
+/// Where a side that lets fluid slip meets an outflow, the normal is that of the side whose condition holds: across it velocities have no slope.
+#[test]
+fn edges_have_the_normal_of_the_side_whose_condition_holds() {
+    let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nregion.size = [1.2, 0.8, 0.8]\nresolution.dx = 0.1\n\
+        fluid.viscosity = 0.1\nfluid.reference_velocity = 1.0\nobjective.kind = \"flow-rate\"\n\
+        region.sides.left = { kind = \"inflow\", velocity = [1, 0, 0] }\nregion.sides.right = { kind = \"outflow\" }\n\
+        region.sides.bottom = { kind = \"symmetry\" }\nregion.sides.top = { kind = \"symmetry\" }\n\
+        region.sides.back = { kind = \"symmetry\" }\nregion.sides.front = { kind = \"symmetry\" }\n\
+        [[shapes]]\nkind = \"disc\"\ncentre = [0.5, 0.4, 0.4]\nradius = 0.15\n";
+    let (around, solution) = solved(text);
+    let mut edges = 0;
+    for (condition, point) in solution.conditions.iter().zip(&around.flow.cloud.places.boundary) {
+        if let Motion::Symmetry(along) | Motion::Outflow(along) = condition.motion {
+            edges += usize::from(point.sides.len() > 1);
+            assert_eq!(condition.normal[along].abs(), 1.0, "{point:?}: {condition:?}");
+        }
+    }
+    assert!(edges > 40, "{edges}");
 }
 
 /// What fixed particles do not have in three dimensions, and shapes that cannot be.

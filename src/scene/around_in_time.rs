@@ -299,7 +299,7 @@ pub trait Marching<const D: usize, const F: usize, const C: usize>: Around {
                 sizes: &sizes[count..],
                 memory,
                 velocity: self.config().fluid.reference_velocity,
-                by_positions: self.wanted().iter().any(|number| !self.cloud().is_parameter(*number)),
+                by_positions: self.cloud().moves(self.wanted()),
             };
             let flow = WithSound::new(self.medium(&shaped)).map_err(failed)?;
             let mut later = heard.pull_back(&flow, &mut |k, reached, bar| figures(count + k, reached, bar), wanted);
@@ -388,8 +388,7 @@ impl<K: Conditions<D>, const D: usize, const F: usize, const C: usize> InTime<D,
         for (to, &wanted) in parameters.iter_mut().zip(self.wanted).filter(|(_, &w)| self.cloud.is_parameter(w)) {
             *to += self.cloud.by_parameter(places, numbers, &bar.boundary, wanted, time);
         }
-        // Particles move with a shape, not with parameters of what its wall does.
-        if self.wanted.iter().all(|&w| self.cloud.is_parameter(w)) {
+        if !self.cloud.moves(self.wanted) {
             return;
         }
         let inside = self.cloud.inside();

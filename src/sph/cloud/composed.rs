@@ -115,24 +115,22 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
         Tensor::new((0..n).map(|i| if i < inside { 1.0 } else { 0.0 }).collect::<Vec<f64>>(), &Device::Cpu)?;
     let motion = |k: usize| equations.conditions[k].motion;
     let is = |on: bool| if on { 1.0 } else { 0.0 };
+    // Slopes along x and y, and S: what each is multiplied with in n . grad f + h S f.
+    let across = |k: usize, derivative: usize| match derivative {
+        LEFT => equations.smoothing(inside + k),
+        along => equations.conditions[k].normal[along],
+    };
     let mut residual = vec![];
     for e in 0..2 {
         let (own, slopes) = ([u, v][e], [du, dv][e]);
         let value = rows(&|k| is(matches!(motion(k), Motion::Given(_)) || motion(k) == Motion::Symmetry(e)))?;
         let given = rows(&|k| if let Motion::Given(given) = motion(k) { given[e] } else { 0.0 })?;
         let mut row = (within[e].mul(&is_inside)? + (own.mul(&value)? - given)?)?;
-        // Slopes along x and y, and S.
         for derivative in [0, 1, LEFT] {
-            let free = rows(&|k| {
-                let (condition, is_slope_along) = (equations.conditions[k], |along: usize| derivative == along);
-                match condition.motion {
-                    Motion::Outflow(along) if along == e => equations.viscosity * is(is_slope_along(along)),
-                    Motion::Symmetry(along) | Motion::Outflow(along) if along != e => {
-                        let [slope, rest] = condition.no_slope(along, equations.smoothing(inside + k));
-                        slope * is(is_slope_along(along)) + rest * is(derivative == LEFT)
-                    }
-                    _ => 0.0,
-                }
+            let free = rows(&|k| match motion(k) {
+                Motion::Outflow(along) if along == e => equations.viscosity * is(derivative == along),
+                Motion::Symmetry(along) | Motion::Outflow(along) if along != e => -across(k, derivative),
+                _ => 0.0,
             })?;
             row = (row + slopes[derivative].mul(&free)?)?;
         }
@@ -146,18 +144,13 @@ pub fn residual(equations: &Equations, position: &Tensor, state: &Tensor) -> Res
         Warmth::Flux(flux) => flux,
     })?;
     let mut row = (within[3].mul(&is_inside)? + (t.mul(&value)? + given)?)?;
-    for along in 0..2 {
-        let slope = rows(&|k| match warmth(k) {
+    for derivative in [0, 1, LEFT] {
+        let free = rows(&|k| match warmth(k) {
             Warmth::Given(_) => 0.0,
-            Warmth::Flux(_) => alpha * equations.conditions[k].normal[along],
+            Warmth::Flux(_) => alpha * across(k, derivative),
         })?;
-        row = (row + dt[along].mul(&slope)?)?;
+        row = (row + dt[derivative].mul(&free)?)?;
     }
-    let smoothing = rows(&|k| match warmth(k) {
-        Warmth::Given(_) => 0.0,
-        Warmth::Flux(_) => alpha * equations.smoothing(inside + k),
-    })?;
-    row = (row + dt[LEFT].mul(&smoothing)?)?;
     residual.push(row);
     Tensor::stack(&residual, 0)
 }

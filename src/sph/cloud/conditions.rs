@@ -34,6 +34,11 @@ pub trait Conditions<const D: usize> {
     /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of a surface.
     fn is_parameter(&self, number: (usize, usize)) -> bool;
 
+    /// Whether any of these numbers moves particles: those of surfaces do, and not parameters of what a wall does.
+    fn moves(&self, numbers: &[(usize, usize)]) -> bool {
+        numbers.iter().any(|&number| !self.is_parameter(number))
+    }
+
     fn place(&self, position: &[Vec<f64>; D], point: usize) -> [f64; D] {
         std::array::from_fn(|d| position[d][self.inside() + point])
     }

@@ -38,7 +38,7 @@ const SMOOTHING: f64 = 1.0;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion<const D: usize = 2> {
     Given([f64; D]),
-    /// No flow along direction d, and no derivative along it of the other components ([`Condition::no_slope`]).
+    /// No flow along direction d, and no derivative along it of the other components ([`Condition::across`]).
     Symmetry(usize),
     /// Out along direction d: no traction of the fluid beyond. In two dimensions it is that of p - nu du_d/dx_d, in space p = 0.
     Outflow(usize),
@@ -62,10 +62,16 @@ pub struct Condition<const D: usize = 2> {
 }
 
 impl<const D: usize> Condition<D> {
-    /// What the slope along direction d and S are multiplied with where a velocity has no slope across a side: those of
-    /// -(n . grad f + h S f), in which the point itself has a positive weight. `smoothing`: h S's.
-    pub fn no_slope(&self, d: usize, smoothing: f64) -> [f64; 2] {
-        [-self.normal[d], -smoothing]
+    /// n . grad f + h S f of the derivatives of a field, or of the coefficients of a pair: 0 where a velocity has no slope across a side, and
+    /// what a heat flux is of T. `smoothing`: h.
+    pub fn across<const C: usize>(&self, d: &[f64; C], smoothing: f64) -> f64 {
+        (0..D).map(|e| self.normal[e] * d[e]).sum::<f64>() + smoothing * d[C - 1]
+    }
+
+    /// Adds what it makes of derivatives, given its cotangent.
+    pub fn across_back<const C: usize>(&self, bar: f64, smoothing: f64, to: &mut [f64; C]) {
+        (0..D).for_each(|e| to[e] += bar * self.normal[e]);
+        to[C - 1] += bar * smoothing;
     }
 }
 
@@ -140,11 +146,6 @@ impl Equations {
         SMOOTHING * self.fits.all.scale(i)
     }
 
-    /// See [`Condition::no_slope`].
-    fn no_slope(&self, i: usize, d: usize) -> [f64; 2] {
-        self.conditions[i - self.inside].no_slope(d, self.smoothing(i))
-    }
-
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and p = 0 at particle 0.
     pub fn gives_pressure(&self) -> bool {
         self.conditions.iter().any(|condition| matches!(condition.motion, Motion::Outflow(_)))
@@ -199,14 +200,13 @@ impl Equations {
                     - self.lift(state, i, 1);
                 continue;
             }
-            let along = |e: usize| {
-                let ([slope, rest], of) = (self.no_slope(i, e), [du[i], dv[i]][1 - e]);
-                slope * of[e] + rest * of[LEFT]
-            };
-            match self.conditions[i - self.inside].motion {
+            let condition = self.conditions[i - self.inside];
+            // With this sign a point has a positive weight in its own equation.
+            let no_slope = |e: usize| -condition.across(&[du[i], dv[i]][1 - e], self.smoothing(i));
+            match condition.motion {
                 Motion::Given(given) => (row[0], row[1]) = (u[i] - given[0], v[i] - given[1]),
-                Motion::Symmetry(e) => (row[e], row[1 - e]) = ([u[i], v[i]][e], along(e)),
-                Motion::Outflow(e) => (row[e], row[1 - e]) = (nu * [du[i], dv[i]][e][e] - p[i], along(e)),
+                Motion::Symmetry(e) => (row[e], row[1 - e]) = ([u[i], v[i]][e], no_slope(e)),
+                Motion::Outflow(e) => (row[e], row[1 - e]) = (nu * [du[i], dv[i]][e][e] - p[i], no_slope(e)),
             }
         }
         residual
@@ -223,10 +223,7 @@ impl Equations {
             let condition = self.conditions[i - self.inside];
             match condition.warmth {
                 Warmth::Given(given) => t[i] - given,
-                Warmth::Flux(flux) => {
-                    let across = condition.normal[0] * dt[i][0] + condition.normal[1] * dt[i][1];
-                    alpha * (across + self.smoothing(i) * dt[i][LEFT]) + flux
-                }
+                Warmth::Flux(flux) => alpha * condition.across(&dt[i], self.smoothing(i)) + flux,
             }
         };
         (0..self.particles()).map(of).collect()
@@ -255,10 +252,12 @@ impl Equations {
                 if i < self.inside {
                     let moved = u[i] * c[0] + v[i] * c[1] - self.viscosity * (c[2] + c[4]);
                     (block[0], block[2], block[4], block[5]) = (moved, c[0], moved, c[1]);
-                } else if let Motion::Symmetry(e) | Motion::Outflow(e) = self.conditions[i - self.inside].motion {
-                    let [slope, rest] = self.no_slope(i, e);
-                    block[4 * (1 - e)] = slope * c[e] + rest * c[LEFT];
-                    if let Motion::Outflow(_) = self.conditions[i - self.inside].motion {
+                } else {
+                    let condition = self.conditions[i - self.inside];
+                    if let Motion::Symmetry(e) | Motion::Outflow(e) = condition.motion {
+                        block[4 * (1 - e)] = -condition.across(&c, self.smoothing(i));
+                    }
+                    if let Motion::Outflow(e) = condition.motion {
                         block[4 * e] = self.viscosity * c[e];
                     }
                 }
@@ -303,9 +302,7 @@ impl Equations {
         match (i >= self.inside).then(|| self.conditions[i - self.inside]) {
             None => u[i] * c[0] + v[i] * c[1] - alpha * (c[2] + c[4]),
             Some(Condition { warmth: Warmth::Given(_), .. }) => 0.0,
-            Some(Condition { normal, .. }) => {
-                alpha * (normal[0] * c[0] + normal[1] * c[1] + self.smoothing(i) * c[LEFT])
-            }
+            Some(condition) => alpha * condition.across(c, self.smoothing(i)),
         }
     }
 
@@ -353,12 +350,12 @@ impl Equations {
         let Derivatives([du_bar, dv_bar, dp_bar, dt_bar]) = &mut bar.derivatives;
         for i in 0..self.particles() {
             let row = &flow[3 * i..3 * i + 3];
-            let motion = (i >= self.inside).then(|| self.conditions[i - self.inside].motion);
+            let condition = (i >= self.inside).then(|| self.conditions[i - self.inside]);
             du_bar[i][0] += row[2];
             dv_bar[i][1] += row[2];
             dp_bar[i][LEFT] -= self.damping[i] * row[2];
             bar.viscosity -= damping_slope(self.damping[i], self.spacing[i]) * d.0[2][i][LEFT] * row[2];
-            match motion {
+            match condition.map(|condition| condition.motion) {
                 None => {
                     for (field, to, row) in [(0, &mut du_bar[i], row[0]), (1, &mut dv_bar[i], row[1])] {
                         let of = &d.0[field][i];
@@ -373,16 +370,15 @@ impl Equations {
                     let given = &mut bar.boundary[i - self.inside];
                     (0..2).for_each(|e| given.velocity[e] -= row[e]);
                 }
-                Some(Motion::Symmetry(e) | Motion::Outflow(e)) => {
-                    let [slope, rest] = self.no_slope(i, e);
-                    let (other, to) = (1 - e, [&mut *du_bar, &mut *dv_bar]);
-                    to[other][i][e] += slope * row[other];
-                    to[other][i][LEFT] += rest * row[other];
-                    if let Some(Motion::Outflow(_)) = motion {
-                        to[e][i][e] += self.viscosity * row[e];
-                        bar.viscosity += d.0[e][i][e] * row[e];
-                    }
+                Some(Motion::Symmetry(_)) => {}
+                Some(Motion::Outflow(e)) => {
+                    [&mut *du_bar, &mut *dv_bar][e][i][e] += self.viscosity * row[e];
+                    bar.viscosity += d.0[e][i][e] * row[e];
                 }
+            }
+            if let Some(condition @ Condition { motion: Motion::Symmetry(e) | Motion::Outflow(e), .. }) = condition {
+                let to = [&mut *du_bar, &mut *dv_bar];
+                condition.across_back(-row[1 - e], self.smoothing(i), &mut to[1 - e][i]);
             }
             let (Some(heat), Some(alpha)) = (heat, self.diffusivity) else { continue };
             if i < self.inside {
@@ -396,11 +392,8 @@ impl Equations {
             match condition.warmth {
                 Warmth::Given(_) => of_boundary.temperature -= heat[i],
                 Warmth::Flux(_) => {
-                    for e in 0..2 {
-                        dt_bar[i][e] += alpha * condition.normal[e] * heat[i];
-                        of_boundary.normal[e] += alpha * d.0[3][i][e] * heat[i];
-                    }
-                    dt_bar[i][LEFT] += alpha * self.smoothing(i) * heat[i];
+                    condition.across_back(alpha * heat[i], self.smoothing(i), &mut dt_bar[i]);
+                    (0..2).for_each(|e| of_boundary.normal[e] += alpha * d.0[3][i][e] * heat[i]);
                     of_boundary.temperature += heat[i];
                 }
             }

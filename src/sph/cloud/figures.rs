@@ -96,8 +96,7 @@ impl Measures {
         let mut points = vec![vec![]; shapes];
         let mut rest = vec![];
         for (k, point) in places.boundary.iter().enumerate() {
-            let behind = || cloud.surroundings.shape_behind(point, places.place[point.particle]);
-            if let Some(shape) = point.on.map(|on| on.0).or_else(behind) {
+            if let Some(shape) = cloud.shape_at(point, places.place[point.particle]) {
                 points[shape].push(k);
             }
             if !point.on.is_some_and(|(shape, _)| places.bodies.contains(&shape)) {

@@ -247,9 +247,7 @@ impl Conditions<2> for Cloud {
     }
 
     fn depends(&self, point: usize, place: [f64; 2], shape: usize) -> bool {
-        let point = &self.places.boundary[point];
-        let behind = || self.surroundings.shape_behind(point, place);
-        point.on.map(|(own, _)| own).or_else(behind) == Some(shape)
+        self.shape_at(&self.places.boundary[point], place) == Some(shape)
     }
 
     fn is_parameter(&self, (shape, number): (usize, usize)) -> bool {
@@ -310,6 +308,11 @@ impl Cloud {
 
     pub fn particles(&self) -> usize {
         self.places.place.len()
+    }
+
+    /// The shape that a point of the boundary, which is there, is on, or that is behind it.
+    pub(super) fn shape_at(&self, point: &BoundaryPoint, place: [f64; 2]) -> Option<usize> {
+        point.on.map(|(own, _)| own).or_else(|| self.surroundings.shape_behind(point, place))
     }
 
     /// Fits of third order for a cloud that keeps none.

@@ -45,22 +45,12 @@ struct Found<const D: usize, const F: usize, const C: usize> {
     all: Cotangents<D, F, C>,
     /// Of a moment.
     bar: Bar<D, F, C>,
-    /// Moments that earlier parts of steps look at, too.
-    shared: Vec<Moment<D>>,
+    /// Those of the part of a step that was gone through last: the part before it looks at some of them, too.
+    moments: Vec<Moment<D>>,
 }
 
 /// A time, and the cotangents of what holds on the boundary then.
 type Moment<const D: usize> = (f64, Vec<BoundaryBar<D>>);
-
-impl<const D: usize, const F: usize, const C: usize> Found<D, F, C> {
-    /// The moment at a time: what later parts of steps made of it, or no cotangents.
-    fn moment(&mut self, time: f64, near: f64) -> Moment<D> {
-        match self.shared.iter().position(|(at, _)| (at - time).abs() < near) {
-            Some(k) => self.shared.swap_remove(k),
-            None => (time, vec![BoundaryBar::default(); self.bar.boundary.len()]),
-        }
-    }
-}
 
 /// Cotangents of the sums of each field at a particle: `[sum][field]`.
 type Weights<const F: usize> = [Record; F];
@@ -190,14 +180,27 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         self.centre(y_bar);
     }
 
-    /// Adds what moments say of walls.
-    fn gather_all(
+    /// The moments at times a part of a step `dt` apart: what the part behind it made of them, or no cotangents. What is at no such time is
+    /// complete, and is gathered.
+    fn moments_at<const N: usize>(
         &self,
         boundary: &dyn InTime<D, F, C>,
-        moments: impl IntoIterator<Item = Moment<D>>,
+        (times, dt): ([f64; N], f64),
         found: &mut Found<D, F, C>,
-    ) {
-        for (time, bar) in moments {
+    ) -> [Moment<D>; N] {
+        let none = || vec![BoundaryBar::default(); self.medium.conditions.len()];
+        let moments = times.map(|time| {
+            let is_it = |(at, _): &Moment<D>| (at - time).abs() < NEAR * dt;
+            let known = found.moments.iter().position(is_it);
+            known.map_or_else(|| (time, none()), |k| found.moments.swap_remove(k))
+        });
+        self.gather_all(boundary, found);
+        moments
+    }
+
+    /// Adds what all moments say of walls.
+    fn gather_all(&self, boundary: &dyn InTime<D, F, C>, found: &mut Found<D, F, C>) {
+        for (time, bar) in std::mem::take(&mut found.moments) {
             found.bar.boundary = bar;
             self.gather(boundary, time, found);
         }
@@ -227,9 +230,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
         let walls = self.walls(boundary, times, 0.5 * dt);
         let apart = boundary.changes().then_some(dt);
         // What holds at a time is gathered once, for all stages of this part and of those beside it.
-        let mut moments = times.map(|time| found.moment(time, NEAR * dt));
-        let passed = std::mem::take(&mut found.shared);
-        self.gather_all(boundary, passed, found);
+        let mut moments = self.moments_at(boundary, (times, dt), found);
         let [a, b, c, d] = moments.each_mut().map(|(_, bar)| bar);
         self.fill_back(&states[STAGES.len()], &walls[1], ([b, c, d], apart), &mut after, found);
         let count = self.medium.inside * Self::WIDTH;
@@ -254,9 +255,7 @@ impl<const D: usize, const F: usize, const C: usize> WithSound<'_, D, F, C> {
             before.iter_mut().zip(&own).for_each(|(to, from)| *to += from);
             of_next = Some((at * dt, own));
         }
-        let [first, second, third, last] = moments;
-        self.gather_all(boundary, [third, last], found);
-        found.shared = vec![first, second];
+        found.moments = moments.into();
         before
     }
 }
@@ -284,7 +283,7 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
                 start: std::array::from_fn(|_| vec![]),
             },
             bar: Bar::new(n, points),
-            shared: vec![],
+            moments: vec![],
         };
         let mut of_figures = PairCotangents::zeros(stencils);
         // Keeps the filled fields of all stages, if it is asked to.
@@ -345,13 +344,12 @@ impl<const D: usize, const F: usize, const C: usize> Heard<'_, D, F, C> {
                 stages.clear();
             }
         }
-        let passed = std::mem::take(&mut found.shared);
-        flow.gather_all(self.boundary, passed, &mut found);
-        let mut moments = at_start.map(|time| found.moment(time, 0.0));
+        let mut moments = flow.moments_at(self.boundary, (at_start, apart), &mut found);
         let apart = self.boundary.changes().then_some(2.0 * apart);
         let around = moments.each_mut().map(|(_, bar)| bar);
         flow.fill_back(&filled_first, walls, (around, apart), &mut y_bar, &mut found);
-        flow.gather_all(self.boundary, moments, &mut found);
+        found.moments = moments.into();
+        flow.gather_all(self.boundary, &mut found);
         let Found { pairs, mut all, .. } = found;
         all.start = flow.unpacked(&y_bar).fields;
         // The Laplacian is a sum of second derivatives.

@@ -84,11 +84,6 @@ impl Equations {
         SMOOTHING * self.fits.all.scale(i)
     }
 
-    /// See [`Condition::no_slope`].
-    pub(super) fn no_slope(&self, i: usize, d: usize) -> [f64; 2] {
-        self.conditions[i - self.inside].no_slope(d, self.smoothing(i))
-    }
-
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and the mean of p is 0.
     pub fn gives_pressure(&self) -> bool {
         self.conditions.iter().any(|condition| matches!(condition.motion, Motion::Outflow(_)))
@@ -138,18 +133,16 @@ impl Equations {
             let divergence: f64 = (0..3).map(|e| d.0[e][i][e]).sum();
             row[PRESSURE] = divergence - self.damping[i] * dp[LEFT] + state.lambda;
             for e in 0..3 {
-                row[e] = match self.condition(i).map(|condition| condition.motion) {
+                row[e] = match self.condition(i).map(|condition| (condition.motion, condition)) {
                     None => {
                         let lift = self.buoyancy.map_or(0.0, |b| b.along(e, state.fields[TEMPERATURE][i]));
                         let carried = dot(u, &d.0[e][i]) - self.viscosity * laplacian(&d.0[e][i]);
                         carried + dp[e] - self.push(state, e) - lift
                     }
-                    Some(Motion::Given(given)) => u[e] - given[e],
-                    Some(Motion::Symmetry(along)) if along == e => u[e],
-                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
-                        let ([slope, rest], of) = (self.no_slope(i, along), &d.0[e][i]);
-                        slope * of[along] + rest * of[LEFT]
-                    }
+                    Some((Motion::Given(given), _)) => u[e] - given[e],
+                    Some((Motion::Symmetry(along), _)) if along == e => u[e],
+                    // With this sign a point has a positive weight in its own equation.
+                    Some((_, condition)) => -condition.across(&d.0[e][i], self.smoothing(i)),
                 };
             }
             if let Some(Condition { motion: Motion::Outflow(_), .. }) = self.condition(i) {
@@ -172,8 +165,8 @@ impl Equations {
             match self.condition(i) {
                 None => dot(state.velocity(i), dt) - alpha * laplacian(dt),
                 Some(Condition { warmth: Warmth::Given(given), .. }) => t - given,
-                Some(Condition { warmth: Warmth::Flux(flux), normal, .. }) => {
-                    alpha * (dot(*normal, dt) + self.smoothing(i) * dt[LEFT]) + flux
+                Some(condition @ Condition { warmth: Warmth::Flux(flux), .. }) => {
+                    alpha * condition.across(dt, self.smoothing(i)) + flux
                 }
             }
         };
@@ -197,7 +190,8 @@ impl Equations {
     pub fn pull_back_linear(&self, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
         for i in 0..self.particles() {
             let row = &flow[FLOW * i..FLOW * (i + 1)];
-            let motion = self.condition(i).map(|condition| condition.motion);
+            let condition = self.condition(i);
+            let motion = condition.map(|condition| condition.motion);
             if !matches!(motion, Some(Motion::Outflow(_))) {
                 (0..3).for_each(|e| bar.derivatives.0[e][i][e] += row[PRESSURE]);
                 bar.derivatives.0[PRESSURE][i][LEFT] -= self.damping[i] * row[PRESSURE];
@@ -214,10 +208,9 @@ impl Equations {
                     }
                     Some(Motion::Given(_)) => bar.boundary[i - self.inside].velocity[e] -= row[e],
                     Some(Motion::Symmetry(along)) if along == e => {}
-                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
-                        let ([slope, rest], to) = (self.no_slope(i, along), &mut bar.derivatives.0[e][i]);
-                        to[along] += slope * row[e];
-                        to[LEFT] += rest * row[e];
+                    Some(Motion::Symmetry(_) | Motion::Outflow(_)) => {
+                        let to = &mut bar.derivatives.0[e][i];
+                        condition.into_iter().for_each(|own| own.across_back(-row[e], self.smoothing(i), to));
                     }
                 }
             }
@@ -228,13 +221,10 @@ impl Equations {
                 Some(Condition { warmth: Warmth::Given(_), .. }) => {
                     bar.boundary[i - self.inside].temperature -= heat[i];
                 }
-                Some(Condition { normal, .. }) => {
+                Some(condition) => {
                     let of_boundary = &mut bar.boundary[i - self.inside];
-                    for e in 0..3 {
-                        to[e] += alpha * normal[e] * heat[i];
-                        of_boundary.normal[e] += alpha * d.0[TEMPERATURE][i][e] * heat[i];
-                    }
-                    to[LEFT] += alpha * self.smoothing(i) * heat[i];
+                    condition.across_back(alpha * heat[i], self.smoothing(i), to);
+                    (0..3).for_each(|e| of_boundary.normal[e] += alpha * d.0[TEMPERATURE][i][e] * heat[i]);
                     of_boundary.temperature += heat[i];
                 }
             }

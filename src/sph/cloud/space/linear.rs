@@ -84,7 +84,8 @@ impl Linear {
         let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
         let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.fits.all.matrix(1) };
         for i in 0..n {
-            let motion = equations.condition(i).map(|condition| condition.motion);
+            let condition = equations.condition(i);
+            let motion = condition.map(|condition| condition.motion);
             let u = state.velocity(i);
             let mut sum = [0.0; 5];
             let scale = equations.fits.all.scale(i);
@@ -94,13 +95,10 @@ impl Linear {
                 if j == i {
                     continue;
                 }
-                let carried = match motion {
+                let carried = match condition {
                     None => dot(u, &c) - equations.viscosity * laplacian(&c),
-                    Some(Motion::Given(_)) => 0.0,
-                    Some(Motion::Symmetry(along) | Motion::Outflow(along)) => {
-                        let [slope, rest] = equations.no_slope(i, along);
-                        slope * c[along] + rest * c[LEFT]
-                    }
+                    Some(Condition { motion: Motion::Given(_), .. }) => 0.0,
+                    Some(condition) => -condition.across(&c, equations.smoothing(i)),
                 };
                 let pair = [carried, c[0], c[1], c[2], -equations.damping[i] * c[LEFT]];
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
@@ -590,7 +588,7 @@ pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficient
             let c = operators.of(i, k);
             let value = match equations.condition(i) {
                 None => dot(state.velocity(i), &c) - alpha * laplacian(&c),
-                Some(Condition { normal, .. }) => alpha * (dot(*normal, &c) + equations.smoothing(i) * c[LEFT]),
+                Some(condition) => alpha * condition.across(&c, equations.smoothing(i)),
             };
             let entry = matrix.entry(i, equations.fits.all.neighbour(i, k) as u32);
             matrix.values[entry] += value;

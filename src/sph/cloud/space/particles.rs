@@ -12,7 +12,7 @@ use super::super::outline::{seeded, Dual};
 use super::super::particles::{Fluid, Unusable};
 use super::equations::{Bar, Condition, Equations, Motion};
 use super::fits::{fits, Where};
-use super::placing::{BoundaryPoint, Ground, Places};
+use super::placing::{inward, BoundaryPoint, Ground, Places};
 use super::scalar::Scalar;
 use super::surface::OnSurface;
 use std::fmt::Debug;
@@ -174,7 +174,14 @@ impl Cloud {
         if let Some(place) = self.fits.all.folded(&self.places.place, &position, 6) {
             return Err(Unusable::Folded(place));
         }
-        let conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
+        let mut conditions = self.conditions_at(&position, normal.into_iter(), 0.0, numbers);
+        // On an edge of the box the normal is that of the side whose condition holds, across which there is no slope.
+        for (condition, point) in conditions.iter_mut().zip(&self.places.boundary) {
+            if let Motion::Symmetry(along) | Motion::Outflow(along) = condition.motion {
+                let side = point.sides.iter().find(|&side| side / 2 == along);
+                condition.normal = side.map_or(condition.normal, |&side| inward(side));
+            }
+        }
         let operators = self.fits.coefficients(&position);
         let region = &self.ground.region;
         let centre = self.ground.surfaces.iter().zip(numbers).map(|(surface, s)| surface.centre(region, s)).collect();

@@ -51,7 +51,7 @@ const LISTS: usize = 5;
 const REPELLING: usize = 24;
 
 /// Unit normal into the fluid of a side.
-fn inward(side: usize) -> [f64; 3] {
+pub(super) fn inward(side: usize) -> [f64; 3] {
     let mut normal = [0.0; 3];
     normal[side / 2] = if side.is_multiple_of(2) { 1.0 } else { -1.0 };
     normal
