@@ -1239,3 +1239,28 @@ fn the_gradient_of_a_flow_in_time_is_that_of_differences() {
         }
     }
 }
+
+/// A triangle and a disc in a stream over a wall that moves: steps a hundredth of what the flow allows have the drags of five times as long
+/// ones, where pressures beside the corners grew without bounds.
+#[test]
+fn steps_may_be_far_shorter_than_the_flow_allows() {
+    let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nmethod.flow = \"unsteady\"\ntime.end = 0.004\nresolution.dx = 0.025\n\
+        fluid.viscosity = 0.0168\nfluid.reference_velocity = 0.83\nobjective.kind = \"drag\"\nobjective.shapes = [0]\n\
+        region.size = [1.0, 0.6]\nregion.sides.left = { kind = \"inflow\", velocity = [\"0.83*y*(1.2-y)/0.36 + 0.11*(1-y/0.6)^2\", 0] }\n\
+        region.sides.right = { kind = \"outflow\" }\nregion.sides.bottom = { kind = \"wall\", velocity = [0.11, 0] }\n\
+        region.sides.top = { kind = \"symmetry\" }\n\
+        [[shapes]]\nkind = \"polygon\"\npoints = [[0.3283, 0.2513], [0.3996, 0.3515], [0.2771, 0.3632]]\n\
+        [[shapes]]\nkind = \"disc\"\ncentre = [0.65, 0.274]\nradius = 0.059\n";
+    let drags = |step: f64| {
+        let around = AroundShapes::new(&loaded(&format!("time.step = {step}\n{text}"))).unwrap();
+        let (history, last) =
+            around.march(&around.first(), None, &mut |_, _| Ok(())).unwrap_or_else(|error| panic!("{error}"));
+        let found = [0, 1].map(|shape| around.value(&last, Figure::Force { shape, along: 0 }));
+        println!("{} steps: {found:?}", history.sizes.len());
+        found
+    };
+    let [short, long] = [2e-5, 1e-4].map(drags);
+    for (short, long) in short.iter().zip(long) {
+        assert!((short / long - 1.0).abs() < 0.05, "{short} and {long}");
+    }
+}

@@ -547,6 +547,7 @@ pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
                     finer(config),
                     2.0 * config.fluid.sound_speed_factor
                 ),
+                false if config.time.step.is_some() => format!("no time.step, so that steps follow from the flow, or {}", finer(config)),
                 false => format!("{}, or method.tolerance={:e}", finer(config), 0.1 * tolerance(config)),
             },
         ),

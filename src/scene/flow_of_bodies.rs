@@ -167,6 +167,7 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
             inside: cloud.places.inside,
             spacing: &cloud.places.spacing,
             conditions: &shaped.conditions,
+            smoothing: cloud.smoothing(shaped),
             fluid: cloud.fluid,
             sound: self.config().sound_speed(),
             threads: threads::count(),

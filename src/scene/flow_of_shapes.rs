@@ -181,6 +181,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
             inside: cloud.places.inside,
             spacing: &cloud.places.spacing,
             conditions: &shaped.conditions,
+            smoothing: &[],
             fluid: cloud.fluid,
             sound: self.config().sound_speed(),
             threads: threads::count(),

@@ -83,7 +83,7 @@ impl<'a> March<'a> {
             let found = self.kept.remove(k);
             self.kept.push(found);
         } else {
-            self.solver.equations.damping = lagged(&self.damping, rate);
+            self.solver.equations.damping = lagged::<2>(&self.damping, self.solver.equations.inside, rate);
             let (flow, heat) = self.solver.factors_at(rate, self.operators, &self.border)?;
             self.factorisations += 1;
             self.kept.push(Matrices { rate, flow, heat });
@@ -187,7 +187,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
-        self.solver.equations.damping = lagged(&self.damping, rate);
+        self.solver.equations.damping = lagged::<2>(&self.damping, self.solver.equations.inside, rate);
         self.solver.equations.pull_back_linear(d, flow, heat, bar);
     }
 

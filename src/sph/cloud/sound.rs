@@ -84,6 +84,8 @@ pub struct Medium<'a, const D: usize, const C: usize> {
     pub spacing: &'a [f64],
     /// What holds on the boundary at the start; of what kind it is does not change.
     pub conditions: &'a [Condition<D>],
+    /// What weight S has beside slopes across the boundary at least, in scales of the fit; none in the plane.
+    pub smoothing: &'a [f64],
     pub fluid: Fluid<D>,
     /// The speed of sound.
     pub sound: f64,
@@ -285,9 +287,10 @@ impl<'a, const D: usize, const F: usize, const C: usize> WithSound<'a, D, F, C> 
         let across = |k: usize| -> Option<[f64; F]> {
             let (normal, scale) =
                 (self.medium.conditions[k].normal, self.medium.fits.all.scale(self.medium.inside + k));
+            let smoothing = self.medium.smoothing.get(k).map_or(SMOOTHING, |weight| weight.max(SMOOTHING));
             Some(std::array::from_fn(|a| match a {
                 a if a < D => normal[a],
-                a if a == D + 1 => scale * SMOOTHING,
+                a if a == D + 1 => scale * smoothing,
                 _ => 0.0,
             }))
         };

@@ -8,7 +8,7 @@
 //!   continuity  div u+ - tau S p+ + lambda = 0
 //!   heat        (a0 T+ - a1 T + a2 T-) / dt + (1 + r) N(T) - r N(T-) - alpha lap T+ = 0
 //!
-//!   a0 = (1 + 2 r) / (1 + r),   a1 = 1 + r,   a2 = r^2 / (1 + r),   N(f) = u . grad f,   1 / tau = 1 / tau_steady + a0 / (10 dt).
+//!   a0 = (1 + 2 r) / (1 + r),   a1 = 1 + r,   a2 = r^2 / (1 + r),   N(f) = u . grad f,   1 / tau = 1 / tau_steady + a0 / (lag dt).
 //! ```
 //!
 //! Where flows are corrected, what the slopes of the state before a step lack is added to all three ([`super::deferred_correction`]).
@@ -41,26 +41,38 @@ const fn shortest(dimension: usize) -> f64 {
     }
 }
 
-/// The first steps are of first order and start from a flow that the walls do not know, so they are this part of the limit. (In space pressures
-/// that the fits hardly see grow between a body and a wall in steps a tenth of the limit: with 0.1 the flows of three ducts of twenty were
-/// not finite after some twenty steps, and with 0.3 none; at t = 0.3 forces are the same within 0.4 % with 0.3, 0.6 and 1.)
+/// The first steps are of first order and start from a flow that the walls do not know, so they are this part of the limit. (In space each
+/// size of step needs a matrix, which is what they cost there; at t = 0.3 forces are the same within 0.4 % with 0.3, 0.6 and 1.)
 const fn at_start(dimension: usize) -> f64 {
     match dimension {
         2 => 0.1,
         _ => 0.3,
     }
 }
-/// How many steps tau is at most. (With 1 to 5 pressures that the fits hardly see grow where particles are irregular and the viscosity
-/// is small; with 20 and more they do at walls with steps a hundredth of what the flow allows. In space 2 is stable in shorter steps than 10,
-/// but the drag of bodies of some four spacings is up to 9 % larger.)
-const LAG: f64 = 10.0;
+
+/// How many steps tau is at most, inside and on the boundary.
+///
+/// Without viscosity and advection a step multiplies velocities by C = 1 - G (D G + lag S)^-1 D, whose eigenvalues must lie between -0.6
+/// and 1. Pressures that the fits hardly see have some a little larger than 1: they grow by about 0.003 / lag in a step, however short it
+/// is, against what viscosity takes away. Where S lowers D G, as beside the corners of a polygon, eigenvalues are negative: in steps a
+/// hundredth of what advection allows -1.3 with a lag of 10 inside, -0.64 with 7, -0.49 with 6 and -0.37 with 5. On the boundary S should be large,
+/// but not without bounds: with a lag of 10,000 pressures grow by a tenth in a step, and in space they grow with 20. With 10
+/// everywhere two of 32 flows in the plane were not finite, and with steps of 2e-5 five of 25; with these all were. In space, where bodies
+/// have few spacings, smaller lags make drags larger (0.7, 0.9 and 1.2 % above a steady flow's with 10, 7 and 5, three spacings across a ball).
+const fn lag(dimension: usize) -> [f64; 2] {
+    match dimension {
+        2 => [6.0, 10.0],
+        _ => [7.0, 10.0],
+    }
+}
 
 /// Steps without slopes of third order at the start: the pressure of the first one is that of the jolt which makes the flow fit to its walls.
 const UNCORRECTED: usize = 3;
 
-/// tau of each particle in steps with a0 / dt = `rate`, given that of the steady flow.
-pub fn lagged(damping: &[f64], rate: f64) -> Vec<f64> {
-    damping.iter().map(|tau| 1.0 / (1.0 / tau + rate / LAG)).collect()
+/// tau of each particle of D dimensions in steps with a0 / dt = `rate`, given that of the steady flow and how many are `inside`.
+pub fn lagged<const D: usize>(damping: &[f64], inside: usize, rate: f64) -> Vec<f64> {
+    let of = |(i, tau): (usize, &f64)| 1.0 / (1.0 / tau + rate / lag(D)[usize::from(i >= inside)]);
+    damping.iter().enumerate().map(of).collect()
 }
 
 /// A step: its size, and that of the one before (0: it does not look back).

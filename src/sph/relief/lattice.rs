@@ -158,6 +158,7 @@ impl OverRelief {
             inside,
             conditions: (0..2 * columns).map(condition).collect(),
             ends: self.ends.clone(),
+            smoothing: vec![1.0; 2 * columns],
             fits: Arc::clone(&self.fits),
         };
         let height = channel.height();

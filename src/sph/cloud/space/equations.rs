@@ -22,8 +22,6 @@ pub const PRESSURE: usize = 3;
 pub const TEMPERATURE: usize = 4;
 /// Unknowns of the flow at a particle.
 pub const FLOW: usize = 4;
-/// Weight of S beside the derivative across a boundary, in scales of the fit.
-const SMOOTHING: f64 = 1.0;
 
 /// Where the temperature of a particle does not follow from conduction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,6 +61,8 @@ pub struct Equations {
     pub conditions: Vec<Condition>,
     /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
     pub ends: Vec<Option<End>>,
+    /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit.
+    pub smoothing: Vec<f64>,
     pub fits: Arc<Fits<3>>,
 }
 
@@ -80,8 +80,8 @@ impl Equations {
         self.fits.all.particles
     }
 
-    pub fn smoothing(&self, i: usize) -> f64 {
-        SMOOTHING * self.fits.all.scale(i)
+    pub(super) fn smoothing(&self, i: usize) -> f64 {
+        self.smoothing[i - self.inside] * self.fits.all.scale(i)
     }
 
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and the mean of p is 0.

@@ -98,7 +98,7 @@ impl<'a> March<'a> {
         while self.kept.last().is_some_and(|last| self.bytes() + last.bytes() > BYTES) {
             self.kept.remove(0);
         }
-        self.solver.equations.damping = lagged(&self.damping, rate);
+        self.solver.equations.damping = lagged::<3>(&self.damping, self.solver.equations.inside, rate);
         let Solver { equations, threads, order, .. } = &self.solver;
         let n = equations.particles();
         let rest = State::at_rest(n);
@@ -199,7 +199,7 @@ impl Scheme<3, 5, C> for March<'_> {
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
-        self.solver.equations.damping = lagged(&self.damping, rate);
+        self.solver.equations.damping = lagged::<3>(&self.damping, self.solver.equations.inside, rate);
         self.solver.equations.pull_back_linear(d, flow, heat, bar);
     }
 
