@@ -1,5 +1,6 @@
 //! Fixed particles around shapes in space.
 
+use crate::cloud::loaded;
 use hydrograd::config::custom::{Kind, Part, ShapeEntry};
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
@@ -46,11 +47,7 @@ fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64)
 
 /// The steady flow of a scene.
 fn solved(text: &str) -> (AroundBodies, Solution) {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("scene.toml");
-    std::fs::write(&file, text).unwrap();
-    let config = Config::load(Some(file.to_str().unwrap()), None, &[]).unwrap_or_else(|error| panic!("{error}")).config;
-    let mut around = AroundBodies::new(&config).unwrap();
+    let mut around = AroundBodies::new(&loaded(text)).unwrap();
     let numbers = around.flow.cloud.numbers();
     let solution = around.flow.solve(&numbers).expect("a flow");
     (around, solution)

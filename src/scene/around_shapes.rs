@@ -539,18 +539,20 @@ pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
             format!("no steady flow was found: Newton's method ends with a residual of {residual:.1e}, also from a flow of 8 times the viscosity"),
             format!("{}, or fluid.viscosity={}", finer(config), 2.0 * config.fluid.viscosity),
         ),
-        NoSteadyState::Unbounded { time } => Error::diverged(
-            format!("the flow is not finite after t = {time:.4}"),
-            match config.has_sound() {
-                true => format!(
+        NoSteadyState::Unbounded { time } => {
+            let advice = if config.has_sound() {
+                format!(
                     "method.pressure=incompressible, {}, or fluid.sound_speed_factor={} for a flow as fast as its sound",
                     finer(config),
                     2.0 * config.fluid.sound_speed_factor
-                ),
-                false if config.time.step.is_some() => format!("no time.step, so that steps follow from the flow, or {}", finer(config)),
-                false => format!("{}, or method.tolerance={:e}", finer(config), 0.1 * tolerance(config)),
-            },
-        ),
+                )
+            } else if config.time.step.is_some() {
+                format!("no time.step, so that steps follow from the flow, or {}", finer(config))
+            } else {
+                format!("{}, or method.tolerance={:e}", finer(config), 0.1 * tolerance(config))
+            };
+            Error::diverged(format!("the flow is not finite after t = {time:.4}"), advice)
+        }
         NoSteadyState::Unsolved => Error::diverged(
             "the iterations for a step in time did not converge".to_string(),
             format!("{}, or method.tolerance={:e}", finer(config), 0.1 * tolerance(config)),

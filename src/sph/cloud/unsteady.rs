@@ -56,13 +56,15 @@ const fn at_start(dimension: usize) -> f64 {
 /// and 1. Pressures that the fits hardly see have some a little larger than 1: they grow by about 0.003 / lag in a step, however short it
 /// is, against what viscosity takes away. Where S lowers D G, as beside the corners of a polygon, eigenvalues are negative: in steps a
 /// hundredth of what advection allows -1.3 with a lag of 10 inside, -0.64 with 7, -0.49 with 6 and -0.37 with 5. On the boundary S should be large,
-/// but not without bounds: with a lag of 10,000 pressures grow by a tenth in a step, and in space they grow with 20. With 10
-/// everywhere two of 32 flows in the plane were not finite, and with steps of 2e-5 five of 25; with these all were. In space, where bodies
-/// have few spacings, smaller lags make drags larger (0.7, 0.9 and 1.2 % above a steady flow's with 10, 7 and 5, three spacings across a ball).
+/// but not without bounds: with a lag of 10,000 pressures grow by a tenth in a step. With 10 everywhere two of 32 flows in the plane were
+/// not finite, and with steps of 2e-5 five of 25; with these all were.
+///
+/// In space pressures between a body and a wall grow in short steps with 10 everywhere, and faster with less than that inside only; with one
+/// lag of 8 or less they do not. Smaller ones make drags of bodies of few spacings larger (0.7, 1.0 and 1.1 % above a steady flow's with 10, 7 and 6, three spacings across a ball).
 const fn lag(dimension: usize) -> [f64; 2] {
     match dimension {
         2 => [6.0, 10.0],
-        _ => [7.0, 10.0],
+        _ => [7.0, 7.0],
     }
 }
 

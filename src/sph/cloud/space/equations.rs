@@ -190,27 +190,25 @@ impl Equations {
     pub fn pull_back_linear(&self, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
         for i in 0..self.particles() {
             let row = &flow[FLOW * i..FLOW * (i + 1)];
-            let condition = self.condition(i);
-            let motion = condition.map(|condition| condition.motion);
-            if !matches!(motion, Some(Motion::Outflow(_))) {
+            let condition = self.condition(i).map(|condition| (condition.motion, condition));
+            if !matches!(condition, Some((Motion::Outflow(_), _))) {
                 (0..3).for_each(|e| bar.derivatives.0[e][i][e] += row[PRESSURE]);
                 bar.derivatives.0[PRESSURE][i][LEFT] -= self.damping[i] * row[PRESSURE];
                 let slope = damping_slope(self.damping[i], self.spacing[i]);
                 bar.viscosity -= slope * d.0[PRESSURE][i][LEFT] * row[PRESSURE];
             }
             for e in 0..3 {
-                match motion {
+                match condition {
                     None => {
                         let to = &mut bar.derivatives.0[e][i];
                         (0..3).for_each(|a| to[quadratic(3, a, a)] -= self.viscosity * row[e]);
                         bar.derivatives.0[PRESSURE][i][e] += row[e];
                         bar.viscosity -= laplacian(&d.0[e][i]) * row[e];
                     }
-                    Some(Motion::Given(_)) => bar.boundary[i - self.inside].velocity[e] -= row[e],
-                    Some(Motion::Symmetry(along)) if along == e => {}
-                    Some(Motion::Symmetry(_) | Motion::Outflow(_)) => {
-                        let to = &mut bar.derivatives.0[e][i];
-                        condition.into_iter().for_each(|own| own.across_back(-row[e], self.smoothing(i), to));
+                    Some((Motion::Given(_), _)) => bar.boundary[i - self.inside].velocity[e] -= row[e],
+                    Some((Motion::Symmetry(along), _)) if along == e => {}
+                    Some((_, condition)) => {
+                        condition.across_back(-row[e], self.smoothing(i), &mut bar.derivatives.0[e][i]);
                     }
                 }
             }

@@ -5,12 +5,12 @@
 use super::super::conditions::Conditions;
 use super::super::deformation::laplace;
 use super::super::equations::{damping, Warmth};
-use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::super::fits::Fits;
 use super::super::nearest::{Nearest, Region};
 use super::super::outline::{seeded, Dual};
 use super::super::particles::{Fluid, Unusable};
-use super::equations::{Bar, Condition, Equations, Motion};
+use super::equations::{dot, Bar, Condition, Equations, Motion};
 use super::fits::{fits, Where};
 use super::placing::{inward, BoundaryPoint, Ground, Places};
 use super::scalar::Scalar;
@@ -26,7 +26,7 @@ const NEXT_TO: f64 = 1.25;
 /// fit. Where a shape stands on a side, the particles next to that side are farther from it than elsewhere, and some have less than LEAST:
 /// S is larger there, so that they have OWN. (Beside a cylinder some had -0.5, and what points had of the others' values was, in the sum of
 /// magnitudes, up to 830; the flow in time was not finite after ten steps. Now it is 6 at most, and 2.2 in the middle. S eight times as large
-/// at all points does the same, but makes errors of vortices and of the heat of a cavity half as large again.)
+/// at all points does the same, but makes the errors of vortices half, and that of the heat of a cavity a quarter, as large again.)
 const LEAST: f64 = 1.0;
 const OWN: f64 = 4.0;
 
@@ -151,10 +151,10 @@ impl Cloud {
             let of = |(k, point): (usize, &BoundaryPoint)| {
                 let i = self.places.inside + k;
                 let normal = if point.on.is_some() { point.normal } else { shaped.conditions[k].normal };
-                let (mut slope, mut rest) = (0.0, 0.0);
+                let (scale, mut slope, mut rest) = (self.fits.all.scale(i), 0.0, 0.0);
                 for c in (0..self.fits.all.count(i)).map(|pair| operators.of(i, pair)) {
-                    slope += self.fits.all.scale(i) * (0..3).map(|d| normal[d] * c[d]).sum::<f64>();
-                    rest += self.fits.all.scale(i).powi(2) * c[C - 1];
+                    slope += scale * dot(normal, &c);
+                    rest += scale * scale * c[LEFT];
                 }
                 if slope + rest >= LEAST {
                     1.0
@@ -223,8 +223,9 @@ impl Cloud {
         // On an edge of the box the normal is that of the side whose condition holds, across which there is no slope.
         for (condition, point) in conditions.iter_mut().zip(&self.places.boundary) {
             if let Motion::Symmetry(along) | Motion::Outflow(along) = condition.motion {
-                let side = point.sides.iter().find(|&side| side / 2 == along);
-                condition.normal = side.map_or(condition.normal, |&side| inward(side));
+                if let Some(&side) = point.sides.iter().find(|&side| side / 2 == along) {
+                    condition.normal = inward(side);
+                }
             }
         }
         let operators = self.fits.coefficients(&position);
