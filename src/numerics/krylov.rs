@@ -1,6 +1,10 @@
-//! GMRES (Saad and Schultz 1986) with a preconditioner on the right.
+//! GMRES (Saad and Schultz 1986) with a preconditioner on the right, and IDR(s) for large systems.
 
+use super::random;
 use super::sparse_lu::dot;
+
+/// A product with a matrix, or an approximate solution.
+pub type Operator<'a> = &'a dyn Fn(&[f64]) -> Vec<f64>;
 
 /// Solves A x = b to a relative residual, or returns none after `most` products with A.
 ///
@@ -9,8 +13,8 @@ pub fn gmres(
     b: &[f64],
     tolerance: f64,
     most: usize,
-    times: &dyn Fn(&[f64]) -> Vec<f64>,
-    precondition: &dyn Fn(&[f64]) -> Vec<f64>,
+    times: Operator<'_>,
+    precondition: Operator<'_>,
 ) -> Option<Vec<f64>> {
     let (x, rest) = cycle(b, tolerance, most, times, precondition);
     (rest <= tolerance).then_some(x)
@@ -21,8 +25,8 @@ pub fn gmres_restarted(
     b: &[f64],
     tolerance: f64,
     (each, most): (usize, usize),
-    times: &dyn Fn(&[f64]) -> Vec<f64>,
-    precondition: &dyn Fn(&[f64]) -> Vec<f64>,
+    times: Operator<'_>,
+    precondition: Operator<'_>,
 ) -> Option<Vec<f64>> {
     let norm = |x: &[f64]| dot(x, x).sqrt();
     let size = norm(b);
@@ -46,14 +50,101 @@ pub fn gmres_restarted(
     None
 }
 
-/// The best solution in the space of at most `most` products, and its relative residual.
-fn cycle(
+/// s of [`idr`]. (In space a step of 84,169 particles takes 78 to 90 products, where GMRES takes 68 to 78 with all their vectors, and 91 to 117
+/// if it begins anew after 37.)
+const SHADOW: usize = 4;
+
+/// Solves A x = b as [`gmres_restarted`] does, with the memory of some twenty vectors however many products it takes, by induced dimension
+/// reduction: IDR(s) (Sonneveld and van Gijzen 2008) in the variant of van Gijzen and Sonneveld (2011). `precondition` must be linear to
+/// rounding.
+pub fn idr(
     b: &[f64],
     tolerance: f64,
     most: usize,
-    times: &dyn Fn(&[f64]) -> Vec<f64>,
-    precondition: &dyn Fn(&[f64]) -> Vec<f64>,
-) -> (Vec<f64>, f64) {
+    times: Operator<'_>,
+    precondition: Operator<'_>,
+) -> Option<Vec<f64>> {
+    let norm = |x: &[f64]| dot(x, x).sqrt();
+    let add = |to: &mut [f64], share: f64, x: &[f64]| to.iter_mut().zip(x).for_each(|(to, x)| *to += share * x);
+    let least = tolerance * norm(b);
+    let mut stream = random::stream(0, "idr");
+    let mut shadow = || -> Vec<f64> { b.iter().map(|_| random::uniform(&mut stream) - 0.5).collect() };
+    let shadows: [Vec<f64>; SHADOW] = std::array::from_fn(|_| shadow());
+    let (mut x, mut left) = (vec![0.0; b.len()], b.to_vec());
+    let mut products = 0;
+    loop {
+        // From the true residual, which that of the recurrences leaves in the end.
+        let start = norm(&left);
+        if start <= least {
+            return Some(x);
+        }
+        if products >= most || !start.is_finite() {
+            return None;
+        }
+        let zeros = || -> [Vec<f64>; SHADOW] { std::array::from_fn(|_| vec![0.0; b.len()]) };
+        // A directions = images, whose products with the shadows are `m`, a lower triangle.
+        let (mut directions, mut images) = (zeros(), zeros());
+        let mut m = [[0.0; SHADOW]; SHADOW];
+        (0..SHADOW).for_each(|k| m[k][k] = 1.0);
+        let mut omega = 1.0;
+        let mut now = start;
+        'reduce: while now > least && products < most {
+            let mut f: [f64; SHADOW] = std::array::from_fn(|k| dot(&shadows[k], &left));
+            for k in 0..SHADOW {
+                let mut c = [0.0; SHADOW];
+                for i in k..SHADOW {
+                    c[i] = (f[i] - (k..i).map(|j| m[i][j] * c[j]).sum::<f64>()) / m[i][i];
+                }
+                let mut rest = left.clone();
+                (k..SHADOW).for_each(|i| add(&mut rest, -c[i], &images[i]));
+                let mut direction = precondition(&rest);
+                direction.iter_mut().for_each(|x| *x *= omega);
+                (k..SHADOW).for_each(|i| add(&mut direction, c[i], &directions[i]));
+                let mut image = times(&direction);
+                products += 1;
+                for i in 0..k {
+                    let share = dot(&shadows[i], &image) / m[i][i];
+                    add(&mut image, -share, &images[i]);
+                    add(&mut direction, -share, &directions[i]);
+                }
+                (k..SHADOW).for_each(|i| m[i][k] = dot(&shadows[i], &image));
+                let share = f[k] / m[k][k];
+                if !share.is_finite() {
+                    break 'reduce;
+                }
+                add(&mut left, -share, &image);
+                add(&mut x, share, &direction);
+                (directions[k], images[k]) = (direction, image);
+                now = norm(&left);
+                if now <= least {
+                    break 'reduce;
+                }
+                (k + 1..SHADOW).for_each(|i| f[i] -= share * m[i][k]);
+            }
+            let direction = precondition(&left);
+            let image = times(&direction);
+            products += 1;
+            // Not too short a step where image and residual are nearly at right angles (Sleijpen and van der Vorst 1995).
+            let along = dot(&image, &left) / (norm(&image) * now);
+            omega = along / along.abs() * along.abs().max(0.7) * now / norm(&image);
+            if !omega.is_finite() {
+                break;
+            }
+            add(&mut left, -omega, &image);
+            add(&mut x, omega, &direction);
+            now = norm(&left);
+        }
+        left = b.iter().zip(times(&x)).map(|(b, product)| b - product).collect();
+        products += 1;
+        let end = norm(&left);
+        if end > least && end > 0.5 * start {
+            return None;
+        }
+    }
+}
+
+/// The best solution in the space of at most `most` products, and its relative residual.
+fn cycle(b: &[f64], tolerance: f64, most: usize, times: Operator<'_>, precondition: Operator<'_>) -> (Vec<f64>, f64) {
     let n = b.len();
     let norm = |x: &[f64]| dot(x, x).sqrt();
     let size = norm(b);

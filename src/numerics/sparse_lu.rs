@@ -35,20 +35,27 @@ pub struct BlockMatrix {
 impl BlockMatrix {
     /// A matrix of zeros with a symmetric structure: the lists `[neighbours of node]`, those that they are in, and the diagonal.
     pub fn of_lists(nodes: usize, size: usize, lists: impl Fn(usize) -> Vec<u32>) -> Self {
-        let mut rows: Vec<Vec<u32>> = (0..nodes).map(|i| vec![i as u32]).collect();
-        for i in 0..nodes {
-            for j in lists(i) {
-                rows[i].push(j);
-                rows[j as usize].push(i as u32);
-            }
+        // In one piece, which goes back to the system afterwards; rows of their own do not.
+        let pairs: Vec<[u32; 2]> = (0..nodes).flat_map(|i| lists(i).into_iter().map(move |j| [i as u32, j])).collect();
+        let both = || pairs.iter().flat_map(|&[i, j]| [[i, j], [j, i]]).chain((0..nodes as u32).map(|i| [i, i]));
+        let mut ends = vec![0; nodes + 1];
+        both().for_each(|[i, _]| ends[i as usize + 1] += 1);
+        (0..nodes).for_each(|i| ends[i + 1] += ends[i]);
+        let mut all = vec![0; ends[nodes]];
+        let mut next = ends.clone();
+        for [i, j] in both() {
+            all[next[i as usize]] = j;
+            next[i as usize] += 1;
         }
         let (mut first, mut column) = (vec![0], vec![]);
-        for row in &mut rows {
+        for i in 0..nodes {
+            let row = &mut all[ends[i]..ends[i + 1]];
             row.sort_unstable();
-            row.dedup();
-            column.extend_from_slice(row);
+            let is_new = |&k: &usize| k == 0 || row[k] != row[k - 1];
+            column.extend((0..row.len()).filter(is_new).map(|k| row[k]));
             first.push(column.len());
         }
+        column.shrink_to_fit();
         let values = vec![0.0; column.len() * size * size];
         Self { size, first, column, values }
     }

@@ -7,6 +7,7 @@ use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, SideKind};
 use crate::config::scene::Config;
 use crate::error::{BadInput, Error};
 use crate::io::stl;
+use crate::numerics::memory::give_back_freed;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::equations::Warmth;
@@ -152,6 +153,7 @@ impl AroundBodies {
     /// # Errors
     /// Shapes that cannot be resolved.
     pub fn new(config: &Config) -> Result<Self, Error> {
+        give_back_freed();
         let (given, fluid, dx) = (&config.region, &config.fluid, config.resolution.dx);
         let region = Region {
             size: std::array::from_fn(|d| given.size[d]),

@@ -114,7 +114,7 @@ fn interpolated<const D: usize, const Q: usize, const C: usize>(
     };
     let near: Vec<Vec<(f64, u32)>> = (0..places.len()).map(near).collect();
     let points: usize = grid.iter().product();
-    let Ok(stencils) = Stencils::new(region, &places, |_| neighbours, |_| false, &near) else {
+    let Ok(stencils) = Stencils::new(region, &places, |_| neighbours, |_| false, |i| &near[i]) else {
         // Fewer particles than a fit needs.
         return vec![vec![f64::NAN; points]; fields.len()];
     };

@@ -21,10 +21,12 @@
 //! Tables of pairs are `[blocks, K, WIDEST]` (K of each block), those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
 use super::nearest::Region;
-use crate::numerics::lanes::{Lanes, WIDEST};
+use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::numerics::sweep::{run_parts, PartKernel};
-use crate::sph::consistent::stencil::{accumulate, at, dot, factorise, monomials, packed, solve, to_third, values};
+use crate::sph::consistent::stencil::{
+    accumulate, at, dot, factorise, monomials, packed, quadratic, solve, to_third, values,
+};
 
 /// Coefficients of a pair in the plane: the derivatives x, y, xx, xy, yy, and S.
 pub const COEFFICIENTS: usize = monomials(2) + 1;
@@ -67,7 +69,7 @@ pub struct Stencils<const D: usize = 2> {
     /// Rows of pairs before each block, `[blocks + 1]`.
     pub(super) first: Vec<usize>,
     pub list: Vec<u32>,
-    /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`; empty along axes without images.
+    /// What is added to r_ij where the neighbour is a periodic image, `[D][blocks, K, WIDEST]`; empty along axes that are not periodic.
     shift: [Vec<f64>; D],
     weight: Vec<f64>,
     /// h_i, `[blocks, WIDEST]`.
@@ -99,12 +101,12 @@ impl<const D: usize> Stencils<D> {
     ///
     /// # Errors
     /// A particle with fewer than `count + 1` of them.
-    pub fn new(
+    pub fn new<'a>(
         plane: Region<D>,
         places: &[[f64; D]],
         count: impl Fn(usize) -> usize,
         is_third: impl Fn(usize) -> bool,
-        near: &[Vec<(f64, u32)>],
+        near: impl Fn(usize) -> &'a [(f64, u32)],
     ) -> Result<Self, usize> {
         let (n, all_blocks) = (places.len(), blocks(places.len()));
         let mut first = vec![0];
@@ -112,21 +114,21 @@ impl<const D: usize> Stencils<D> {
             let own = (block * WIDEST..n.min((block + 1) * WIDEST)).map(&count).max();
             first.push(first[block] + own.unwrap_or(0));
         }
-        let empty = vec![0.0; first[all_blocks] * WIDEST];
+        let pairs = first[all_blocks] * WIDEST;
         let mut all = Self {
             particles: n,
             neighbours: (0..n).map(&count).max().unwrap_or(0),
-            list: vec![0; empty.len()],
+            list: vec![0; pairs],
             first,
-            shift: std::array::from_fn(|_| empty.clone()),
-            weight: empty,
+            shift: plane.periodic.map(|is_periodic| vec![0.0; if is_periodic { pairs } else { 0 }]),
+            weight: vec![0.0; pairs],
             scale: vec![1.0; all_blocks * WIDEST],
             third: vec![0.0; all_blocks * WIDEST],
         };
         // Lanes behind the last particle repeat it, so that their numbers are finite.
         for lane in 0..all_blocks * WIDEST {
             let i = lane.min(n - 1);
-            let (found, neighbours) = (&near[i], count(i));
+            let (found, neighbours) = (near(i), count(i));
             if found.len() <= neighbours {
                 return Err(i);
             }
@@ -140,11 +142,8 @@ impl<const D: usize> Stencils<D> {
                 let (weight, shift) = weight_and_shift(plane, [places[i], places[j as usize]], distance, reach);
                 all.list[place] = j;
                 all.weight[place] = weight;
-                (0..D).for_each(|d| all.shift[d][place] = shift[d]);
+                (0..D).filter(|&d| plane.periodic[d]).for_each(|d| all.shift[d][place] = shift[d]);
             }
-        }
-        for shift in all.shift.iter_mut().filter(|shift| shift.iter().all(|&x| x == 0.0)) {
-            *shift = vec![];
         }
         Ok(all)
     }
@@ -152,6 +151,12 @@ impl<const D: usize> Stencils<D> {
     /// Whether fits of third order are among them.
     pub(super) fn has_third(&self) -> bool {
         self.third.contains(&1.0)
+    }
+
+    /// The same of a block.
+    #[inline(always)]
+    pub(super) fn is_third(&self, block: usize) -> bool {
+        self.third[block * WIDEST..(block + 1) * WIDEST].contains(&1.0)
     }
 
     /// Number of neighbours of particle i, with those that fill up its block.
@@ -186,6 +191,12 @@ impl<const D: usize> Stencils<D> {
         self.list[self.place(i, k)] as usize
     }
 
+    /// Neighbour k of the particles from lane `l` of a block on.
+    #[inline(always)]
+    pub(super) fn neighbours_from(&self, (block, l, k): (usize, usize, usize)) -> *const u32 {
+        self.list[(self.first[block] + k) * WIDEST + l..].as_ptr()
+    }
+
     /// The scale h of a particle's fit.
     pub fn scale(&self, i: usize) -> f64 {
         self.scale[i]
@@ -201,15 +212,13 @@ impl<const D: usize> Stencils<D> {
         )
     }
 
-    /// C coefficients of all pairs, of Q monomials, with P numbers in their matrix.
-    fn all_coefficients<const Q: usize, const P: usize, const C: usize>(
+    /// C coefficients of all pairs of blocks whose fits have Q monomials, with P numbers in their matrix, for positions of whole blocks.
+    fn coefficients_of<const Q: usize, const P: usize, const C: usize>(
         &self,
         position: &[Vec<f64>; D],
-    ) -> Coefficients<C> {
-        let padded = self.padded(position);
-        let mut value = vec![0.0; self.list.len() * C];
-        run_parts(&Forward::<D, Q, P, C> { stencils: self, position: &padded }, self.parts(&mut value, C));
-        Coefficients { first: self.first.clone(), value }
+        value: &mut [f64],
+    ) {
+        run_parts(&Forward::<D, Q, P, C> { stencils: self, position }, self.parts(value, C));
     }
 
     /// The first particle whose `nearest` neighbours are not apart and on their side, by 0.4 of their distance at the reference `places`
@@ -252,10 +261,13 @@ macro_rules! in_dimension {
             pub fn coefficients(&self, position: &[Vec<f64>; $dimension]) -> Coefficients<$coefficients> {
                 const SECOND: usize = monomials($dimension);
                 const THIRD: usize = to_third($dimension);
-                match self.has_third() {
-                    true => self.all_coefficients::<THIRD, { packed(THIRD) }, $coefficients>(position),
-                    false => self.all_coefficients::<SECOND, { packed(SECOND) }, $coefficients>(position),
+                let padded = self.padded(position);
+                let mut value = vec![0.0; self.list.len() * $coefficients];
+                self.coefficients_of::<SECOND, { packed(SECOND) }, $coefficients>(&padded, &mut value);
+                if self.has_third() {
+                    self.coefficients_of::<THIRD, { packed(THIRD) }, $coefficients>(&padded, &mut value);
                 }
+                Coefficients { first: self.first.clone(), value }
             }
         }
     };
@@ -273,9 +285,9 @@ pub struct Coefficients<const C: usize = COEFFICIENTS> {
 
 impl<const C: usize> Coefficients<C> {
     /// Replaces those that are `taken` of every particle i by those of `other` coefficients, whose `count(i)` neighbours are the first of
-    /// this one's.
+    /// this one's; where it has none they stay.
     pub fn take(&mut self, other: &Self, count: impl Fn(usize) -> usize, taken: &[bool; C]) {
-        for i in 0..(self.first.len() - 1) * WIDEST {
+        for i in (0..(self.first.len() - 1) * WIDEST).filter(|&i| count(i) > 0) {
             let block = i / WIDEST;
             for k in 0..self.first[block + 1] - self.first[block] {
                 let first = (self.first[block] + k) * C * WIDEST + i % WIDEST;
@@ -297,6 +309,25 @@ impl<const C: usize> Coefficients<C> {
     pub(super) fn slope<const D: usize>(&self, i: usize, k: usize) -> [f64; D] {
         let first = (self.first[i / WIDEST] + k) * C * WIDEST + i % WIDEST;
         std::array::from_fn(|d| self.value[first + d * WIDEST])
+    }
+
+    /// Slopes, the Laplacian and S of neighbour k of the particles from lane `l` of a block on.
+    #[inline(always)]
+    pub(super) fn sums_from<L: Lanes<Real = f64>, const D: usize, const F: usize>(
+        &self,
+        (block, l, k): (usize, usize, usize),
+    ) -> [L; F] {
+        let first = ((self.first[block] + k) * C) * WIDEST + l;
+        let of = |c: usize| L::load_part(&self.value[first + c * WIDEST..]);
+        array(|f| match f {
+            slope if slope < D => of(slope),
+            left if left == F - 1 => of(C - 1),
+            _ => {
+                let mut sum = of(quadratic(D, 0, 0));
+                (1..D).for_each(|d| sum += of(quadratic(D, d, d)));
+                sum
+            }
+        })
     }
 
     /// The derivatives of a field at particle i.
@@ -462,6 +493,9 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
+        if self.stencils.is_third(block) != (Q > monomials(D)) {
+            return;
+        }
         for l in (0..WIDEST).step_by(L::COUNT) {
             let third = L::load_part(&self.stencils.third[block * WIDEST + l..]);
             let Fit { factor, inverse_scale, square, mean } = fit::<L, D, Q, P>(self.stencils, self.position, block, l);

@@ -48,11 +48,14 @@ impl<const C: usize> PairCotangents<C> {
     }
 
     /// Those of the coefficients that are `taken`, which are of `small`, whose neighbours are the first of those of `all`. They become 0
-    /// here.
+    /// here; where `small` has none they stay.
     pub(super) fn split<const D: usize>(&mut self, all: &Stencils<D>, small: &Stencils<D>, taken: &[bool; C]) -> Self {
         let mut found = Self::zeros(small);
         for block in 0..all.first.len() - 1 {
             let (from, to) = (all.first[block], small.first[block]);
+            if small.first[block + 1] == to {
+                continue;
+            }
             for k in 0..all.first[block + 1] - from {
                 let is_of_both = k < small.first[block + 1] - to;
                 for c in (0..C).filter(|c| taken[*c]) {
@@ -119,16 +122,19 @@ impl<'a, const D: usize, const B: usize, const C: usize> PartKernel<f64> for Col
 }
 
 impl<const D: usize> Stencils<D> {
-    fn pull_back_all<const Q: usize, const P: usize, const C: usize>(
+    /// The cotangents of the distances of all pairs of blocks whose fits have Q monomials, `[blocks, K, D, WIDEST]`.
+    fn pull_back_of<const Q: usize, const P: usize, const C: usize>(
         &self,
         position: &[Vec<f64>; D],
-        known: Known<'_, C>,
-        position_bar: &mut [Vec<f64>; D],
+        known: &Known<'_, C>,
+        pairs: &mut [f64],
     ) {
-        let padded = self.padded(position);
-        let mut pairs = vec![0.0; self.list.len() * D];
-        let kernel = Backward::<D, Q, P, C> { stencils: self, position: &padded, known };
-        run_parts(&kernel, self.parts(&mut pairs, D));
+        let kernel = Backward::<D, Q, P, C> { stencils: self, position, known };
+        run_parts(&kernel, self.parts(pairs, D));
+    }
+
+    /// Adds the cotangents of positions, given those of the distances of pairs.
+    fn spread(&self, pairs: &[f64], position_bar: &mut [Vec<f64>; D]) {
         for i in 0..self.particles {
             for k in 0..self.count(i) {
                 let j = self.neighbour(i, k);
@@ -177,14 +183,13 @@ macro_rules! in_dimension {
             ) {
                 const SECOND: usize = monomials($dimension);
                 const THIRD: usize = to_third($dimension);
-                match self.has_third() {
-                    true => {
-                        self.pull_back_all::<THIRD, { packed(THIRD) }, $coefficients>(position, known, position_bar)
-                    }
-                    false => {
-                        self.pull_back_all::<SECOND, { packed(SECOND) }, $coefficients>(position, known, position_bar);
-                    }
+                let padded = self.padded(position);
+                let mut pairs = vec![0.0; self.list.len() * $dimension];
+                self.pull_back_of::<SECOND, { packed(SECOND) }, $coefficients>(&padded, &known, &mut pairs);
+                if self.has_third() {
+                    self.pull_back_of::<THIRD, { packed(THIRD) }, $coefficients>(&padded, &known, &mut pairs);
                 }
+                self.spread(&pairs, position_bar);
             }
         }
     };
@@ -263,7 +268,7 @@ impl<const C: usize> Known<'_, C> {
 struct Backward<'a, const D: usize, const Q: usize, const P: usize, const C: usize> {
     stencils: &'a Stencils<D>,
     position: &'a [Vec<f64>; D],
-    known: Known<'a, C>,
+    known: &'a Known<'a, C>,
 }
 
 impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKernel<f64> for Backward<'a, D, Q, P, C> {
@@ -274,6 +279,9 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
         let stencils = self.stencils;
+        if stencils.is_third(block) != (Q > monomials(D)) {
+            return;
+        }
         let neighbours = stencils.count(block * WIDEST);
         for l in (0..WIDEST).step_by(L::COUNT) {
             let third = L::load_part(&stencils.third[block * WIDEST + l..]);

@@ -9,7 +9,7 @@ use super::fit_adjoint::PairCotangents;
 /// The stencils of both fits. The neighbours of the smaller one are the first of those of the other.
 #[derive(Debug, Clone)]
 pub struct Fits<const D: usize = 2> {
-    /// The smaller fit, of slopes and S; none where all derivatives are of one fit.
+    /// The smaller fit, of slopes and S; none where all derivatives are of one fit, and no neighbours in blocks where they are.
     small: Option<Stencils<D>>,
     /// The other fit, which has all neighbours.
     pub all: Stencils<D>,
@@ -32,10 +32,10 @@ fn of_small<const D: usize, const C: usize>() -> [bool; C] {
     std::array::from_fn(|c| c < D || c == C - 1)
 }
 
-/// Derivatives `[fields][N]` of which those that `kept` says are kept, and the others 0.
-fn part<const C: usize>(bar: &[Vec<[f64; C]>], kept: impl Fn(usize) -> bool) -> Vec<Vec<[f64; C]>> {
-    let of = |bar: &[f64; C]| std::array::from_fn(|c| if kept(c) { bar[c] } else { 0.0 });
-    bar.iter().map(|field| field.iter().map(of).collect()).collect()
+/// Derivatives `[fields][N]` of which those that `kept` says, of particle i and coefficient c, are kept, and the others 0.
+fn part<const C: usize>(bar: &[Vec<[f64; C]>], kept: impl Fn(usize, usize) -> bool) -> Vec<Vec<[f64; C]>> {
+    let of = |(i, bar): (usize, &[f64; C])| std::array::from_fn(|c| if kept(i, c) { bar[c] } else { 0.0 });
+    bar.iter().map(|field| field.iter().enumerate().map(of).collect()).collect()
 }
 
 /// What fits in a number of dimensions are made of.
@@ -65,8 +65,9 @@ macro_rules! in_dimension {
                     return self.all.pull_back(position, fields, bar, position_bar);
                 };
                 let taken = of_small::<$dimension, $coefficients>();
-                small.pull_back(position, fields, &part(bar, |c| taken[c]), position_bar);
-                self.all.pull_back(position, fields, &part(bar, |c| !taken[c]), position_bar);
+                let is_taken = |i: usize, c: usize| taken[c] && small.count(i) > 0;
+                small.pull_back(position, fields, &part(bar, is_taken), position_bar);
+                self.all.pull_back(position, fields, &part(bar, |i, c| !is_taken(i, c)), position_bar);
             }
 
             /// The same, given the cotangents of all coefficients of pairs of [`Self::all`].

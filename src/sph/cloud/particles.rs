@@ -263,7 +263,7 @@ fn stencils_of(
     count: usize,
     is_third: bool,
 ) -> Result<Stencils, Unusable> {
-    let stencils = Stencils::new(ground.plane, &places.place, |_| count, |_| is_third, near);
+    let stencils = Stencils::new(ground.plane, &places.place, |_| count, |_| is_third, |i| &near[i]);
     stencils.map_err(|i| Unusable::Lonely(places.place[i]))
 }
 

@@ -101,7 +101,8 @@ impl OverRelief {
         let reach = |i: usize| dx * (if i < inside { INSIDE } else { ON_WALL } + 1e-3).sqrt();
         let lists: Vec<Vec<(f64, u32)>> = (0..places.len()).map(|i| near.of(places[i], 80, |j, _| j != i)).collect();
         let count = |i: usize| lists[i].partition_point(|found| found.0 < reach(i));
-        let stencils = Stencils::new(region, &places, count, |_| false, &lists).expect("enough particles for the fits");
+        let stencils =
+            Stencils::new(region, &places, count, |_| false, |i| &lists[i]).expect("enough particles for the fits");
         let slack = 1e-9 * dx;
         let end = |i: usize| {
             let (x, before) = (places[i][0], channel.before(i));

@@ -12,7 +12,7 @@
 //! border, and behind them `[N]`.
 
 use super::equations::{Derivatives, Equations, FLOW, PRESSURE, TEMPERATURE};
-use super::linear::{solve_scaled, System, PRODUCTS};
+use super::linear::{solve_scaled, Method, System};
 use super::scalar::Scalar;
 
 /// Relative residual of the heat in the preconditioner.
@@ -20,7 +20,7 @@ const HEAT: f64 = 0.05;
 
 /// The coupled system at a state, or its transpose.
 pub struct Coupled<'a> {
-    pub flow: &'a System,
+    pub flow: &'a System<'a>,
     pub heat: &'a Scalar,
     /// b.
     push: [f64; 3],
@@ -31,7 +31,13 @@ pub struct Coupled<'a> {
 
 impl<'a> Coupled<'a> {
     /// `flow` and `heat`: systems at the state that `d` belongs to, or both transposed.
-    pub fn new(equations: &Equations, d: &Derivatives, flow: &'a System, heat: &'a Scalar, transposed: bool) -> Self {
+    pub fn new(
+        equations: &Equations,
+        d: &Derivatives,
+        flow: &'a System<'a>,
+        heat: &'a Scalar,
+        transposed: bool,
+    ) -> Self {
         let push = equations.buoyancy.map_or([0.0; 3], |buoyancy| buoyancy.by);
         let of = |i: usize| match equations.end(i) {
             None => std::array::from_fn(|e| d.0[TEMPERATURE][i][e]),
@@ -103,6 +109,7 @@ impl<'a> Coupled<'a> {
             x[..FLOW * n].chunks_exact_mut(FLOW).for_each(|row| row[PRESSURE] *= continuity);
             x[whole - n..].iter_mut().for_each(|x| *x *= heat);
         };
-        solve_scaled(right, tolerance, PRODUCTS, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
+        let (times, precondition) = (|x: &[f64]| self.times(x), |x: &[f64]| self.precondition(x));
+        solve_scaled(right, tolerance, Method::Gmres, [&times, &precondition], &scale, products)
     }
 }

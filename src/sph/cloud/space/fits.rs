@@ -9,6 +9,7 @@
 use super::super::fit::Stencils;
 use super::super::fits::Fits;
 use super::super::nearest::Region;
+use crate::numerics::lanes::WIDEST;
 
 /// Neighbours of slopes, and of all derivatives far from shapes.
 const NEIGHBOURS: usize = 32;
@@ -48,14 +49,14 @@ impl Where {
 ///
 /// # Errors
 /// A particle with too few of them.
-pub fn fits(
+pub fn fits<'a>(
     region: Region<3>,
     places: &[[f64; 3]],
     kinds: &[Where],
-    near: &[Vec<(f64, u32)>],
+    near: impl Fn(usize) -> &'a [(f64, u32)],
 ) -> Result<Fits<3>, usize> {
-    let count = |which: usize| move |i: usize| kinds[i].counts()[which];
-    let slopes = Stencils::new(region, places, count(0), |_| false, near)?;
-    let all = Stencils::new(region, places, count(1), |i| kinds[i] == Where::NearShape, near)?;
-    Ok(Fits::of_two(slopes, all))
+    let is_third = |i: usize| kinds[i] == Where::NearShape;
+    let all = Stencils::new(region, places, |i| kinds[i].counts()[1], is_third, &near)?;
+    let slopes = |i: usize| if all.is_third(i / WIDEST) { kinds[i].counts()[0] } else { 0 };
+    Ok(Fits::of_two(Stencils::new(region, places, slopes, |_| false, &near)?, all))
 }

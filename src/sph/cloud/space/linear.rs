@@ -1,4 +1,5 @@
-//! The linearised flow in space, and its solution by GMRES with a block preconditioner.
+//! The linearised flow in space, and its solution by iterations: of a steady flow by GMRES with a block preconditioner, of a step in time by
+//! induced dimension reduction with incomplete factors.
 //!
 //! With the rows of momentum K, G and those of continuity D, S of the four unknowns at each particle,
 //!
@@ -11,33 +12,36 @@
 //! with K, "pressure convection-diffusion" (Silvester and Wathen 1994; Kay, Loghin and Wathen 2002; Elman, Silvester and Wathen 2014).
 //!
 //! Steps in time have incomplete factors of all of A instead, whose blocks hold the velocity and the pressure of a particle: a0 / dt in K and
-//! the damping S are large on its diagonal. Their iterations grow with the number of particles along a side (18, 19 and 26 with 1057,
-//! 3602 and 12,760 particles, to 1e-10). With P and X^-1 = nu - a0 / dt lap^-1 (Cahouet and Chabard 1988) there are 65 to 80, each several times
-//! as long, since S is up to ten times a0 / dt lap^-1 for pressures that change from point to point, and no Laplacian has that; with
-//! (lap + a0 / dt tau S)^-1 there are as many, and the inner iterations do not converge.
+//! the damping S are large on its diagonal. The same preconditioner for all products lets [IDR](crate::numerics::krylov::idr) solve with it,
+//! in the memory of twenty vectors; its products grow with the number of particles along a side (GMRES takes 18, 19, 26 and 70 with
+//! 1057, 3602, 12,760 and 84,169 particles, to 1e-10, and IDR a tenth more). With P and X^-1 = nu - a0 / dt lap^-1 (Cahouet and Chabard
+//! 1988) GMRES takes 65 to 80 for few particles, each several times as long, since S is up to ten times a0 / dt lap^-1 for pressures that
+//! change from point to point, and no Laplacian has that; with (lap + a0 / dt tau S)^-1 it takes as many, and the inner iterations do not
+//! converge.
 //!
 //! K^-1 and lap^-1 are GMRES again, with incomplete factors and a correction on groups of particles ([`crate::numerics::two_level`]), to a
 //! third, which one or two products reach; so the outer iteration is a flexible one (Saad 1993). A pair of particles has five numbers: K's,
-//! the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. Vectors are `[N, 4]`, and behind them the
-//! numbers of the whole flow: lambda and a drive, as a border of the matrix.
+//! the slopes along x, y and z, and S's; which of them a row takes is a matter of its particle. All five are sums of the pair's coefficients
+//! ([`super::super::fit`]), from which products make them anew: a table of them would take as much memory as half the coefficients. Only
+//! the transpose has one. Vectors are `[N, 4]`, and behind them the numbers of the whole flow: lambda and a drive, as a border of the matrix.
 
 use super::super::equations::Warmth;
-use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use super::super::fits::Fits;
 use super::super::steady::dense;
 use super::equations::{dot, laplacian, Condition, Derivatives, End, Equations, Motion, State, FLOW, PRESSURE};
 use super::scalar::Scalar;
-use crate::numerics::incomplete_lu::IncompleteLu;
-use crate::numerics::krylov::gmres_restarted;
+use crate::numerics::incomplete_lu::{Half, IncompleteLu};
+use crate::numerics::krylov::{gmres_restarted, idr, Operator};
+use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sparse_lu::{dot as product, BlockMatrix, Order, Singular, SparseLu};
-use std::ops::Range;
+use crate::numerics::sweep::{run_parts, PartKernel};
+use std::ops::{Add, Mul, Range};
 use std::sync::Arc;
 
 /// Products before GMRES begins anew, and at most. (The adjoint of a ball in a duct at a Reynolds number of 53 takes 475, and more than 600 if
 /// GMRES begins anew after 120.)
-pub(super) const PRODUCTS: (usize, usize) = (300, 1500);
-/// In a step in time GMRES begins anew where its vectors take more memory than this, but not before so many products. (The first step of the flow
-/// around a ball takes 67 products, those after it about 20.)
-const BASIS: (usize, usize) = (200_000_000, 40);
+const PRODUCTS: (usize, usize) = (300, 1500);
 /// Relative residual of a solution with K or the Laplacian. (A twentieth saves a tenth of the outer
 /// iterations, each of which takes twice as long.)
 const INNER: f64 = 0.3;
@@ -51,14 +55,65 @@ struct Takes {
     flows: f64,
 }
 
+/// What a particle's K and S have of the coefficients of its pairs: K those of the slopes, of the Laplacian and of S, S that of itself.
+type Shares = [f64; 6];
+
+/// K, x, y, z, S of a pair, given its slopes, Laplacian and S.
+#[inline(always)]
+fn numbers<T>(share: &[T; 6], [x, y, z, laplacian, left]: [T; 5]) -> [T; 5]
+where
+    T: Copy + Add<Output = T> + Mul<Output = T>,
+{
+    let carried = share[0] * x + share[1] * y + share[2] * z + share[3] * laplacian + share[4] * left;
+    [carried, x, y, z, share[5] * left]
+}
+
+/// The numbers of all pairs.
+#[derive(Debug)]
+enum Pairs<'a> {
+    /// Those of a matrix, from the coefficients.
+    Made { fits: Arc<Fits<3>>, operators: &'a Coefficients<C>, shares: Vec<Shares> },
+    /// Those of its transpose, by the second particle of a pair: where those of each begin, the first particle, and K, x, y, z, S.
+    Kept { first: Vec<usize>, column: Vec<u32>, value: Vec<[f64; 5]> },
+}
+
+impl Pairs<'_> {
+    /// The number of a particle's pairs.
+    fn count(&self, i: usize) -> usize {
+        match self {
+            Self::Made { fits, .. } => fits.all.count(i),
+            Self::Kept { first, .. } => first[i + 1] - first[i],
+        }
+    }
+
+    /// The other particle of a pair, and its numbers.
+    fn of(&self, i: usize, k: usize) -> (usize, [f64; 5]) {
+        match self {
+            Self::Made { fits, operators, shares } => {
+                let c = operators.of(i, k);
+                let sums = [c[0], c[1], c[2], laplacian(&c), c[LEFT]];
+                (fits.all.neighbour(i, k), numbers(&shares[i], sums))
+            }
+            Self::Kept { first, column, value } => (column[first[i] + k] as usize, value[first[i] + k]),
+        }
+    }
+
+    fn of_all(&self, i: usize) -> impl Iterator<Item = (usize, [f64; 5])> + '_ {
+        (0..self.count(i)).map(move |k| self.of(i, k))
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Made { shares, .. } => size_of_val(&shares[..]),
+            Self::Kept { value, .. } => 44 * value.len(),
+        }
+    }
+}
+
 /// The matrix A at a state, or its transpose, by pairs of particles.
 #[derive(Debug)]
-pub struct Linear {
-    transposed: bool,
-    first: Vec<usize>,
-    column: Vec<u32>,
-    /// K, x, y, z, S.
-    pairs: Vec<[f64; 5]>,
+pub struct Linear<'a> {
+    pairs: Pairs<'a>,
     takes: Vec<Takes>,
     /// Each particle's own block, row by row.
     own: Vec<[[f64; FLOW]; FLOW]>,
@@ -74,53 +129,55 @@ pub struct Linear {
     laplace: BlockMatrix,
 }
 
-impl Linear {
+impl<'a> Linear<'a> {
     /// `rate`: a0 / dt of a step in time, of which `state` is one at rest; 0 of a steady flow.
-    pub fn new(equations: &Equations, state: &State, d: &Derivatives, operators: &Coefficients<C>, rate: f64) -> Self {
+    pub fn new(
+        equations: &Equations,
+        state: &State,
+        d: &Derivatives,
+        operators: &'a Coefficients<C>,
+        rate: f64,
+    ) -> Self {
         let n = equations.particles();
-        let most = equations.fits.all.list.len();
-        let (mut first, mut column, mut pairs) = (vec![0], Vec::with_capacity(most), Vec::with_capacity(most));
+        let share = |i: usize| -> Shares {
+            let ([x, y, z], laplacian, left) = match equations.condition(i) {
+                None => (state.velocity(i), -equations.viscosity, 0.0),
+                Some(Condition { motion: Motion::Given(_), .. }) => ([0.0; 3], 0.0, 0.0),
+                Some(condition) => (condition.normal.map(|n| -n), 0.0, -equations.smoothing(i)),
+            };
+            [x, y, z, laplacian, left, -equations.damping[i]]
+        };
+        let shares = (0..n).map(share).collect();
+        let pairs = Pairs::Made { fits: Arc::clone(&equations.fits), operators, shares };
         let (mut takes, mut own) = (Vec::with_capacity(n), Vec::with_capacity(n));
         let is_at_rest = state.fields[..3].iter().flatten().all(|&u| u == 0.0);
         let mut laplace = if is_at_rest { BlockMatrix::default() } else { equations.fits.all.matrix(1) };
         for i in 0..n {
-            let condition = equations.condition(i);
-            let motion = condition.map(|condition| condition.motion);
-            let u = state.velocity(i);
+            let motion = equations.condition(i).map(|condition| condition.motion);
             let mut sum = [0.0; 5];
-            let scale = equations.fits.all.scale(i);
-            let weights: f64 = (0..equations.fits.all.count(i)).map(|k| equations.fits.all.pair(i, k).1).sum();
-            for k in 0..equations.fits.all.count(i) {
-                let (j, c) = (equations.fits.all.neighbour(i, k), operators.of(i, k));
-                if j == i {
-                    continue;
-                }
-                let carried = match condition {
-                    None => dot(u, &c) - equations.viscosity * laplacian(&c),
-                    Some(Condition { motion: Motion::Given(_), .. }) => 0.0,
-                    Some(condition) => -condition.across(&c, equations.smoothing(i)),
-                };
-                let pair = [carried, c[0], c[1], c[2], -equations.damping[i] * c[LEFT]];
+            for (_, pair) in pairs.of_all(i) {
                 sum.iter_mut().zip(&pair).for_each(|(sum, x)| *sum -= x);
-                column.push(j as u32);
-                pairs.push(pair);
-                if !is_at_rest && !matches!(motion, Some(Motion::Outflow(_))) {
-                    let value = 4.8 * equations.fits.all.pair(i, k).1 / (weights * scale * scale);
-                    let (entry, diagonal) = (laplace.entry(i, j as u32), laplace.entry(i, i as u32));
-                    laplace.values[entry] += value;
-                    laplace.values[diagonal] -= value;
-                }
             }
             if !is_at_rest {
-                // Where no pressure is given, a constant is left; this is small beside all others.
+                let scale = equations.fits.all.scale(i);
                 let diagonal = laplace.entry(i, i as u32);
+                if !matches!(motion, Some(Motion::Outflow(_))) {
+                    let weighted = || (0..equations.fits.all.count(i)).map(|k| equations.fits.all.pair(i, k));
+                    let weights: f64 = weighted().map(|(_, weight, _)| weight).sum();
+                    for (j, weight, _) in weighted() {
+                        let value = 4.8 * weight / (weights * scale * scale);
+                        let entry = laplace.entry(i, j as u32);
+                        laplace.values[entry] += value;
+                        laplace.values[diagonal] -= value;
+                    }
+                }
+                // Where no pressure is given, a constant is left; this is small beside all others.
                 laplace.values[diagonal] -= match motion {
                     Some(Motion::Outflow(_)) => 1.0 / (scale * scale),
                     None => 1e-6 / (scale * scale),
                     Some(_) => 0.0,
                 };
             }
-            first.push(column.len());
             let mut take = Takes { carries: [1.0; 3], pushes: 0.0, flows: 1.0 };
             match motion {
                 None => take.pushes = 1.0,
@@ -151,7 +208,11 @@ impl Linear {
         let moving = |i: usize| if i < equations.inside { state.velocity(i) } else { [0.0; 3] };
         let velocity = (!is_at_rest).then(|| (0..n).map(moving).collect());
         let viscosity = equations.viscosity;
-        Self { transposed: false, first, column, pairs, takes, own, viscosity, rate, given, velocity, laplace }
+        Self { pairs, takes, own, viscosity, rate, given, velocity, laplace }
+    }
+
+    fn is_transposed(&self) -> bool {
+        matches!(self.pairs, Pairs::Kept { .. })
     }
 
     fn particles(&self) -> usize {
@@ -159,60 +220,44 @@ impl Linear {
     }
 
     /// The transpose: pairs by their second particle.
+    ///
+    /// # Panics
+    /// If it is one already.
     pub fn transposed(mut self) -> Self {
+        assert!(!self.is_transposed());
         let n = self.particles();
         if self.velocity.is_some() {
             self.laplace.transpose();
         }
         let mut first = vec![0; n + 1];
-        self.column.iter().for_each(|&j| first[j as usize + 1] += 1);
+        let others = |i: usize| self.pairs.of_all(i).filter(move |(j, _)| *j != i);
+        (0..n).flat_map(others).for_each(|(j, _)| first[j + 1] += 1);
         (0..n).for_each(|j| first[j + 1] += first[j]);
         let mut next = first.clone();
-        let (mut column, mut pairs) = (vec![0; self.column.len()], vec![[0.0; 5]; self.column.len()]);
+        let (mut column, mut value) = (vec![0; first[n]], vec![[0.0; 5]; first[n]]);
         for i in 0..n {
-            for e in self.first[i]..self.first[i + 1] {
-                let to = &mut next[self.column[e] as usize];
-                (column[*to], pairs[*to]) = (i as u32, self.pairs[e]);
-                *to += 1;
+            for (j, pair) in others(i) {
+                (column[next[j]], value[next[j]]) = (i as u32, pair);
+                next[j] += 1;
             }
         }
         let turned = |block: &[[f64; FLOW]; FLOW]| std::array::from_fn(|a| std::array::from_fn(|b| block[b][a]));
         let own = self.own.iter().map(turned).collect();
-        Self { transposed: !self.transposed, first, column, pairs, own, ..self }
+        Self { pairs: Pairs::Kept { first, column, value }, own, ..self }
     }
 
-    /// y = A x of some particles.
-    fn rows(&self, x: &[f64], rows: Range<usize>, y: &mut [f64]) {
+    /// y = A^T x of some particles.
+    fn rows_transposed(&self, x: &[f64], rows: Range<usize>, y: &mut [f64]) {
         for (i, y) in rows.zip(y.chunks_exact_mut(FLOW)) {
-            let mut sum = [0.0; FLOW];
-            let mut push = [0.0; 3];
-            let (mut carried, mut flow) = ([0.0; 3], 0.0);
-            let takes = self.takes[i];
-            for e in self.first[i]..self.first[i + 1] {
-                let j = self.column[e] as usize;
-                let (x, [k, gx, gy, gz, s]) = (&x[FLOW * j..FLOW * (j + 1)], self.pairs[e]);
-                if self.transposed {
-                    let from = self.takes[j];
-                    let pressure = from.flows * x[PRESSURE];
-                    (0..3).for_each(|e| carried[e] += k * from.carries[e] * x[e]);
-                    (0..3).for_each(|e| push[e] += [gx, gy, gz][e] * pressure);
-                    flow += from.pushes * (gx * x[0] + gy * x[1] + gz * x[2]) + s * pressure;
-                } else {
-                    (0..3).for_each(|e| carried[e] += k * x[e]);
-                    (0..3).for_each(|e| push[e] += [gx, gy, gz][e] * x[PRESSURE]);
-                    flow += gx * x[0] + gy * x[1] + gz * x[2] + s * x[PRESSURE];
-                }
-            }
             let own = &x[FLOW * i..FLOW * (i + 1)];
             for a in 0..FLOW {
-                sum[a] = (0..FLOW).map(|b| self.own[i][a][b] * own[b]).sum();
+                y[a] = (0..FLOW).map(|b| self.own[i][a][b] * own[b]).sum();
             }
-            if self.transposed {
-                (0..3).for_each(|e| y[e] = sum[e] + carried[e] + push[e]);
-                y[PRESSURE] = sum[PRESSURE] + flow;
-            } else {
-                (0..3).for_each(|e| y[e] = sum[e] + takes.carries[e] * carried[e] + takes.pushes * push[e]);
-                y[PRESSURE] = sum[PRESSURE] + takes.flows * flow;
+            for (j, [k, gx, gy, gz, s]) in self.pairs.of_all(i) {
+                let (x, from) = (&x[FLOW * j..FLOW * (j + 1)], self.takes[j]);
+                let pressure = from.flows * x[PRESSURE];
+                (0..3).for_each(|e| y[e] += k * from.carries[e] * x[e] + [gx, gy, gz][e] * pressure);
+                y[PRESSURE] += from.pushes * (gx * x[0] + gy * x[1] + gz * x[2]) + s * pressure;
             }
         }
     }
@@ -221,11 +266,16 @@ impl Linear {
     fn times(&self, x: &[f64], threads: usize) -> Vec<f64> {
         let n = self.particles();
         let mut y = vec![0.0; FLOW * n];
+        if let Pairs::Made { fits, operators, shares } = &self.pairs {
+            let product = Product { linear: self, stencils: &fits.all, operators, shares, x };
+            run_parts(&product, y.chunks_mut(FLOW * WIDEST));
+            return y;
+        }
         let share = n.div_ceil(threads.max(1)).max(1);
         std::thread::scope(|scope| {
             for (part, y) in y.chunks_mut(FLOW * share).enumerate() {
                 let rows = part * share..n.min((part + 1) * share);
-                scope.spawn(move || self.rows(x, rows, y));
+                scope.spawn(move || self.rows_transposed(x, rows, y));
             }
         });
         y
@@ -236,10 +286,9 @@ impl Linear {
         let along = |u: [f64; 3], [_, gx, gy, gz, _]: [f64; 5]| u[0] * gx + u[1] * gy + u[2] * gz;
         let mut found = vec![0.0; f.len()];
         for i in 0..f.len() {
-            for e in self.first[i]..self.first[i + 1] {
-                let j = self.column[e] as usize;
-                let from = if self.transposed { j } else { i };
-                let by = along(velocity[from], self.pairs[e]);
+            for (j, pair) in self.pairs.of_all(i) {
+                let from = if self.is_transposed() { j } else { i };
+                let by = along(velocity[from], pair);
                 found[i] += by * f[j];
                 found[from] -= by * f[from];
             }
@@ -260,18 +309,17 @@ impl Linear {
 
     /// A matrix of zeros with blocks of a size where this one has them.
     fn zeros(&self, size: usize) -> BlockMatrix {
-        let list = |i: usize| self.column[self.first[i]..self.first[i + 1]].to_vec();
+        let list = |i: usize| self.pairs.of_all(i).map(|(j, _)| j as u32).collect();
         BlockMatrix::of_lists(self.particles(), size, list)
     }
 
     /// The blocks of a row of all of the matrix, each with its column. Where no pressure is given, a constant is left; one particle's is
     /// held.
     fn blocks(&self, i: usize, add: &mut dyn FnMut(u32, &[f64])) {
-        for e in self.first[i]..self.first[i + 1] {
-            let (j, [k, gx, gy, gz, s]) = (self.column[e], self.pairs[e]);
-            let takes = self.takes[if self.transposed { j as usize } else { i }];
+        for (j, [k, gx, gy, gz, s]) in self.pairs.of_all(i) {
+            let takes = self.takes[if self.is_transposed() { j } else { i }];
             let (to_momentum, to_continuity) =
-                if self.transposed { (takes.flows, takes.pushes) } else { (takes.pushes, takes.flows) };
+                if self.is_transposed() { (takes.flows, takes.pushes) } else { (takes.pushes, takes.flows) };
             let mut block = [[0.0; FLOW]; FLOW];
             for (a, slope) in [gx, gy, gz].into_iter().enumerate() {
                 block[a][a] = takes.carries[a] * k;
@@ -279,7 +327,7 @@ impl Linear {
                 block[PRESSURE][a] = to_continuity * slope;
             }
             block[PRESSURE][PRESSURE] = takes.flows * s;
-            add(j, block.as_flattened());
+            add(j as u32, block.as_flattened());
         }
         let mut own = self.own[i];
         if i == 0 && !self.given.contains(&true) {
@@ -304,7 +352,7 @@ impl Linear {
     ///
     /// # Errors
     /// A particle whose own block has no inverse.
-    fn nearly(&self) -> Result<IncompleteLu<FLOW>, Singular> {
+    fn nearly(&self) -> Result<IncompleteLu<FLOW, Half>, Singular> {
         IncompleteLu::of_rows(&self.zeros(0), |i, add| self.blocks(i, add))
     }
 
@@ -312,10 +360,9 @@ impl Linear {
     fn carrying(&self, component: usize) -> BlockMatrix {
         let mut matrix = self.zeros(1);
         for i in 0..self.particles() {
-            for e in self.first[i]..self.first[i + 1] {
-                let j = self.column[e] as usize;
-                let from = if self.transposed { j } else { i };
-                let value = self.takes[from].carries[component] * self.pairs[e][0];
+            for (j, pair) in self.pairs.of_all(i) {
+                let from = if self.is_transposed() { j } else { i };
+                let value = self.takes[from].carries[component] * pair[0];
                 let entry = matrix.entry(i, j as u32);
                 matrix.values[entry] += value;
                 let diagonal = matrix.entry(from, from as u32);
@@ -330,9 +377,69 @@ impl Linear {
     }
 }
 
+/// y = A x of the particles of a block, see [`Pairs::Made`].
+struct Product<'a> {
+    linear: &'a Linear<'a>,
+    stencils: &'a Stencils<3>,
+    operators: &'a Coefficients<C>,
+    shares: &'a [Shares],
+    /// `[N, 4]`.
+    x: &'a [f64],
+}
+
+impl<'a> PartKernel<f64> for Product<'a> {
+    /// `[WIDEST, 4]`; fewer in the last block.
+    type Part = &'a mut [f64];
+
+    #[inline(always)]
+    fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
+        let particles = part.len() / FLOW;
+        for l in (0..particles).step_by(L::COUNT) {
+            let here = L::COUNT.min(particles - l);
+            let lane = |of: &dyn Fn(usize) -> f64| -> L {
+                let mut numbers = [0.0; WIDEST];
+                for k in 0..here {
+                    numbers[k] = of(block * WIDEST + l + k);
+                }
+                L::load_part(&numbers[..])
+            };
+            let share: [L; 6] = array(|a| lane(&|i| self.shares[i][a]));
+            // Momentum by what is carried and by the slopes of the pressure, and continuity.
+            let (mut carried, mut pushed, mut flow) = ([L::zero(); 3], [L::zero(); 3], L::zero());
+            for k in 0..self.stencils.count(block * WIDEST) {
+                // SAFETY: the list names particles, each with four numbers of x.
+                let x = unsafe { L::gather4(self.x.as_ptr(), FLOW, self.stencils.neighbours_from((block, l, k))) };
+                let [own, gx, gy, gz, s] = numbers(&share, self.operators.sums_from::<L, 3, 5>((block, l, k)));
+                for (e, slope) in [gx, gy, gz].into_iter().enumerate() {
+                    carried[e] = own.mul_add(x[e], carried[e]);
+                    pushed[e] = slope.mul_add(x[PRESSURE], pushed[e]);
+                    flow = slope.mul_add(x[e], flow);
+                }
+                flow = s.mul_add(x[PRESSURE], flow);
+            }
+            let (carried, pushed, flow) = (carried.map(L::numbers), pushed.map(L::numbers), flow.numbers());
+            for k in 0..here {
+                let i = block * WIDEST + l + k;
+                let (own, takes, y) = (&self.x[FLOW * i..], &self.linear.takes[i], &mut part[FLOW * (l + k)..]);
+                for a in 0..FLOW {
+                    let mut sum = 0.0;
+                    for b in 0..FLOW {
+                        sum += self.linear.own[i][a][b] * own[b];
+                    }
+                    y[a] = sum
+                        + match a {
+                            PRESSURE => takes.flows * flow[k],
+                            _ => takes.carries[a] * carried[a][k] + takes.pushes * pushed[a][k],
+                        };
+                }
+            }
+        }
+    }
+}
+
 /// A matrix with its border, and the preconditioner.
-pub struct System {
-    pub linear: Linear,
+pub struct System<'a> {
+    pub linear: Linear<'a>,
     columns: Vec<Vec<f64>>,
     rows: Vec<Vec<f64>>,
     corner: Vec<Vec<f64>>,
@@ -351,7 +458,7 @@ pub struct System {
 /// Factors of all of a matrix.
 enum Whole {
     Exact(SparseLu),
-    Nearly(IncompleteLu<FLOW>),
+    Nearly(IncompleteLu<FLOW, Half>),
 }
 
 impl Whole {
@@ -373,14 +480,14 @@ impl Whole {
 /// Columns, rows and corner of a border.
 pub type Border = [Vec<Vec<f64>>; 3];
 
-impl System {
+impl<'a> System<'a> {
     /// With an order of elimination the whole matrix is factorised, which pays for few particles; that of a step in time is otherwise so
     /// incompletely.
     ///
     /// # Errors
     /// A particle without a diagonal entry, or a matrix without factors.
     pub fn new(
-        mut linear: Linear,
+        mut linear: Linear<'a>,
         [columns, rows, corner]: Border,
         threads: usize,
         order: Option<&Arc<Order>>,
@@ -413,7 +520,7 @@ impl System {
     pub fn bytes(&self) -> usize {
         let whole = self.whole.as_ref().map_or(0, Whole::bytes);
         let parts = self.carrying.iter().chain(&self.laplace).map(Scalar::bytes);
-        whole + 44 * self.linear.pairs.len() + parts.sum::<usize>()
+        whole + self.linear.pairs.bytes() + parts.sum::<usize>()
     }
 
     /// A x, with its border.
@@ -434,7 +541,7 @@ impl System {
         let linear = &self.linear;
         let free: Vec<f64> = right.iter().zip(&linear.given).map(|(x, given)| if *given { 0.0 } else { *x }).collect();
         let carried = match (&linear.velocity, &self.laplace) {
-            (Some(velocity), Some(laplace)) if linear.transposed => {
+            (Some(velocity), Some(laplace)) if linear.is_transposed() => {
                 laplace.nearly(&linear.carried(velocity, &free), INNER)
             }
             (Some(velocity), Some(laplace)) => {
@@ -527,25 +634,28 @@ impl System {
     /// The solution to a relative residual, in which rows of continuity count `weight` times; adds the products that it took.
     pub fn solve(&self, right: &[f64], tolerance: f64, weight: f64, products: &mut usize) -> Option<Vec<f64>> {
         let scale = |x: &mut [f64], back: bool| self.scale(x, if back { 1.0 / weight } else { weight });
-        let each = match self.linear.rate > 0.0 {
-            // Two vectors a product.
-            true => (BASIS.0 / (2 * std::mem::size_of_val(right))).clamp(BASIS.1, PRODUCTS.0),
-            false => PRODUCTS.0,
-        };
-        let most = (each, PRODUCTS.1);
-        solve_scaled(right, tolerance, most, &|x| self.times(x), &|x| self.precondition(x), &scale, products)
+        let (times, precondition) = (|x: &[f64]| self.times(x), |x: &[f64]| self.precondition(x));
+        let method = if matches!(self.whole, Some(Whole::Nearly(_))) { Method::Reduction } else { Method::Gmres };
+        solve_scaled(right, tolerance, method, [&times, &precondition], &scale, products)
     }
 }
 
-/// A solution by GMRES whose rows count by a scale, given the products with the matrix and with its preconditioner. `scale` multiplies
-/// numbers of rows, or divides by the same if it shall take them `back`. `most`: products before GMRES begins anew, and at most. Adds those
-/// that it took.
+/// How a system is solved by iterations.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Method {
+    /// For any preconditioner; keeps two vectors for each product.
+    Gmres,
+    /// For one that is always the same.
+    Reduction,
+}
+
+/// A solution whose rows count by a scale, given the products with the matrix and with its preconditioner. `scale` multiplies
+/// numbers of rows, or divides by the same if it shall take them `back`. Adds the products that it took.
 pub(super) fn solve_scaled(
     right: &[f64],
     tolerance: f64,
-    most: (usize, usize),
-    times: &dyn Fn(&[f64]) -> Vec<f64>,
-    precondition: &dyn Fn(&[f64]) -> Vec<f64>,
+    method: Method,
+    [times, precondition]: [Operator<'_>; 2],
     scale: &dyn Fn(&mut [f64], bool),
     products: &mut usize,
 ) -> Option<Vec<f64>> {
@@ -563,7 +673,10 @@ pub(super) fn solve_scaled(
     };
     let mut right = right.to_vec();
     scale(&mut right, false);
-    let found = gmres_restarted(&right, tolerance, most, &times, &precondition);
+    let found = match method {
+        Method::Gmres => gmres_restarted(&right, tolerance, PRODUCTS, &times, &precondition),
+        Method::Reduction => idr(&right, tolerance, PRODUCTS.1, &times, &precondition),
+    };
     *products += count.get();
     found
 }

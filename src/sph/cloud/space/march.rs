@@ -1,6 +1,6 @@
 //! Steps in time in space: iterations with the matrix of each size of step, see [`super::super::unsteady`].
 //!
-//! The matrix of a step is that of a flow at rest with a0 / dt in the rows of momentum. GMRES solves with the incomplete factors of it
+//! The matrix of a step is that of a flow at rest with a0 / dt in the rows of momentum. Iterations solve with the incomplete factors of it
 //! ([`super::linear`]), or of few particles with exact ones, from what the last two states extrapolate to. (With 3602 particles exact
 //! factors take 18 s and 370 MB, and a step 0.4 s instead of 1.6, in the quick profile on a busy machine: they pay after a dozen of steps of one
 //! size, and there are about six sizes.) It ends at 1e-10 of the residual that the state before the step leaves, far below the error of the step, so that derivatives by
@@ -29,14 +29,14 @@ const FACTORISED: usize = 2000;
 const BYTES: usize = 1_000_000_000;
 
 /// The systems of one size of step, or their transposes.
-struct Matrices {
+struct Matrices<'a> {
     rate: f64,
     transposed: bool,
-    flow: System,
+    flow: System<'a>,
     heat: Option<Scalar>,
 }
 
-impl Matrices {
+impl Matrices<'_> {
     fn bytes(&self) -> usize {
         self.flow.bytes() + self.heat.as_ref().map_or(0, Scalar::bytes)
     }
@@ -46,7 +46,7 @@ impl Matrices {
 pub struct March<'a> {
     solver: Solver,
     operators: &'a Coefficients<C>,
-    kept: Vec<Matrices>,
+    kept: Vec<Matrices<'a>>,
     border: Border,
     extra: [bool; 2],
     /// tau of a steady flow.
@@ -88,7 +88,7 @@ impl<'a> March<'a> {
 
     /// Puts the systems for a0 / dt to the end of those that are kept.
     fn find(&mut self, rate: f64, transposed: bool) -> Result<(), NoSteadyState> {
-        let is_it = |kept: &Matrices| kept.transposed == transposed && (kept.rate / rate - 1.0).abs() < 1e-12;
+        let is_it = |kept: &Matrices<'_>| kept.transposed == transposed && (kept.rate / rate - 1.0).abs() < 1e-12;
         if let Some(k) = self.kept.iter().position(is_it) {
             let found = self.kept.remove(k);
             self.kept.push(found);

@@ -92,8 +92,9 @@ impl Cloud {
         let places = ground.fill().map_err(Unusable::Placing)?;
         let kinds: Vec<Where> = (0..places.place.len()).map(|i| kind(&ground, &places, i)).collect();
         let near = neighbours(&ground, &places, &kinds, threads);
-        let fits = fits(ground.region, &places.place, &kinds, &near);
+        let fits = fits(ground.region, &places.place, &kinds, |i| near.of(i));
         let fits = Arc::new(fits.map_err(|i| Unusable::Lonely(places.place[i]))?);
+        drop(near);
         let centre = (0..ground.surfaces.len())
             .map(|shape| {
                 let surface = &ground.surfaces[shape];
@@ -341,8 +342,21 @@ fn kind(ground: &Ground, places: &Places, i: usize) -> Where {
     }
 }
 
+/// The particles near each, with their distances, nearest first: in one piece, which goes back to the system when the fits are made.
+struct Near {
+    first: Vec<usize>,
+    counts: Vec<usize>,
+    all: Vec<(f64, u32)>,
+}
+
+impl Near {
+    fn of(&self, i: usize) -> &[(f64, u32)] {
+        &self.all[self.first[i]..self.first[i] + self.counts[i]]
+    }
+}
+
 /// The particles next to each, nearest first, that no shape hides.
-fn neighbours(ground: &Ground, places: &Places, kinds: &[Where], threads: usize) -> Vec<Vec<(f64, u32)>> {
+fn neighbours(ground: &Ground, places: &Places, kinds: &[Where], threads: usize) -> Near {
     let all = Nearest::new(ground.region, ground.dx, &places.place);
     let distance: Vec<f64> = places.place.iter().map(|p| ground.distance(*p, None)).collect();
     let sees = |i: usize, j: usize, length: f64| {
@@ -358,13 +372,26 @@ fn neighbours(ground: &Ground, places: &Places, kinds: &[Where], threads: usize)
     };
     let of = |i: usize| all.of(places.place[i], kinds[i].needs(), |j, length| j != i && sees(i, j, length));
     let n = places.place.len();
-    let mut found: Vec<Vec<(f64, u32)>> = vec![vec![]; n];
+    let mut first = vec![0];
+    kinds.iter().for_each(|kind| first.push(first[first.len() - 1] + kind.needs()));
+    let mut all = vec![(0.0, 0); first[n]];
     let share = n.div_ceil(threads.max(1)).max(1);
+    let mut rest = &mut all[..];
+    let mut counts = vec![0; n];
     std::thread::scope(|scope| {
-        for (part, to) in found.chunks_mut(share).enumerate() {
-            let of = &of;
-            scope.spawn(move || to.iter_mut().enumerate().for_each(|(k, to)| *to = of(part * share + k)));
+        for (part, counts) in counts.chunks_mut(share).enumerate() {
+            let from = part * share;
+            let (own, others) = std::mem::take(&mut rest).split_at_mut(first[from + counts.len()] - first[from]);
+            rest = others;
+            let (of, first) = (&of, &first);
+            scope.spawn(move || {
+                for (k, count) in counts.iter_mut().enumerate() {
+                    let found = of(from + k);
+                    *count = found.len();
+                    own[first[from + k] - first[from]..][..found.len()].copy_from_slice(&found);
+                }
+            });
         }
     });
-    found
+    Near { first, counts, all }
 }
