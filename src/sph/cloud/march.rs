@@ -5,7 +5,7 @@ use super::equations::{Bar, Derivatives, Equations, State};
 use super::fit::{Coefficients, Stencils, COEFFICIENTS};
 use super::fit_adjoint::PairCotangents;
 use super::steady::{Border, Factors, FlowRate, Held, NoSteadyState, Solver};
-use super::unsteady::{lagged, Guess, Scheme};
+use super::unsteady::{lagged, Guess, Scheme, LAG};
 use crate::numerics::sparse_lu::SparseLu;
 use crate::sph::laws::buoyancy::Buoyancy;
 
@@ -77,13 +77,19 @@ impl<'a> March<'a> {
         self
     }
 
+    /// Gives the equations tau of steps with a0 / dt.
+    fn damp(&mut self, rate: f64) {
+        let inside = self.solver.equations.inside;
+        self.solver.equations.damping = lagged(&self.damping, |i| LAG[usize::from(i >= inside)], rate);
+    }
+
     /// The factors for a0 / dt.
     fn matrices(&mut self, rate: f64) -> Result<&Matrices, NoSteadyState> {
         if let Some(k) = self.kept.iter().position(|kept| (kept.rate / rate - 1.0).abs() < 1e-12) {
             let found = self.kept.remove(k);
             self.kept.push(found);
         } else {
-            self.solver.equations.damping = lagged::<2>(&self.damping, self.solver.equations.inside, rate);
+            self.damp(rate);
             let (flow, heat) = self.solver.factors_at(rate, self.operators, &self.border)?;
             self.factorisations += 1;
             self.kept.push(Matrices { rate, flow, heat });
@@ -187,7 +193,7 @@ impl Scheme<2, 4, COEFFICIENTS> for March<'_> {
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
-        self.solver.equations.damping = lagged::<2>(&self.damping, self.solver.equations.inside, rate);
+        self.damp(rate);
         self.solver.equations.pull_back_linear(d, flow, heat, bar);
     }
 

@@ -50,7 +50,7 @@ const fn at_start(dimension: usize) -> f64 {
     }
 }
 
-/// How many steps tau is at most, inside and on the boundary.
+/// How many steps tau is at most in the plane, inside and on the boundary.
 ///
 /// Without viscosity and advection a step multiplies velocities by C = 1 - G (D G + lag S)^-1 D, whose eigenvalues must lie between -0.6
 /// and 1. Pressures that the fits hardly see have some a little larger than 1: they grow by about 0.003 / lag in a step, however short it
@@ -58,23 +58,14 @@ const fn at_start(dimension: usize) -> f64 {
 /// hundredth of what advection allows -1.3 with a lag of 10 inside, -0.64 with 7, -0.49 with 6 and -0.37 with 5. On the boundary S should be large,
 /// but not without bounds: with a lag of 10,000 pressures grow by a tenth in a step. With 10 everywhere two of 32 flows in the plane were
 /// not finite, and with steps of 2e-5 five of 25; with these all were.
-///
-/// In space pressures between a body and a wall grow in short steps with 10 everywhere, and faster with less than that inside only; with one
-/// lag of 8 or less they do not. Smaller ones make drags of bodies of few spacings larger (0.7, 1.0 and 1.1 % above a steady flow's with 10, 7 and 6, three spacings across a ball).
-const fn lag(dimension: usize) -> [f64; 2] {
-    match dimension {
-        2 => [6.0, 10.0],
-        _ => [7.0, 7.0],
-    }
-}
+pub const LAG: [f64; 2] = [6.0, 10.0];
 
 /// Steps without slopes of third order at the start: the pressure of the first one is that of the jolt which makes the flow fit to its walls.
 const UNCORRECTED: usize = 3;
 
-/// tau of each particle of D dimensions in steps with a0 / dt = `rate`, given that of the steady flow and how many are `inside`.
-pub fn lagged<const D: usize>(damping: &[f64], inside: usize, rate: f64) -> Vec<f64> {
-    let of = |(i, tau): (usize, &f64)| 1.0 / (1.0 / tau + rate / lag(D)[usize::from(i >= inside)]);
-    damping.iter().enumerate().map(of).collect()
+/// tau of each particle in steps with a0 / dt = `rate`, given that of the steady flow and how many steps it is at most.
+pub fn lagged(damping: &[f64], lag: impl Fn(usize) -> f64, rate: f64) -> Vec<f64> {
+    damping.iter().enumerate().map(|(i, tau)| 1.0 / (1.0 / tau + rate / lag(i))).collect()
 }
 
 /// A step: its size, and that of the one before (0: it does not look back).

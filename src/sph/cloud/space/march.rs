@@ -86,6 +86,12 @@ impl<'a> March<'a> {
         self.kept.iter().map(Matrices::bytes).sum()
     }
 
+    /// Gives the equations tau of steps with a0 / dt.
+    fn damp(&mut self, rate: f64) {
+        let equations = &mut self.solver.equations;
+        equations.damping = lagged(&self.damping, |i| equations.lag[i], rate);
+    }
+
     /// Puts the systems for a0 / dt to the end of those that are kept.
     fn find(&mut self, rate: f64, transposed: bool) -> Result<(), NoSteadyState> {
         let is_it = |kept: &Matrices<'_>| kept.transposed == transposed && (kept.rate / rate - 1.0).abs() < 1e-12;
@@ -98,7 +104,7 @@ impl<'a> March<'a> {
         while self.kept.last().is_some_and(|last| self.bytes() + last.bytes() > BYTES) {
             self.kept.remove(0);
         }
-        self.solver.equations.damping = lagged::<3>(&self.damping, self.solver.equations.inside, rate);
+        self.damp(rate);
         let Solver { equations, threads, order, .. } = &self.solver;
         let n = equations.particles();
         let rest = State::at_rest(n);
@@ -199,7 +205,7 @@ impl Scheme<3, 5, C> for March<'_> {
     }
 
     fn pull_back_linear(&mut self, rate: f64, d: &Derivatives, flow: &[f64], heat: Option<&[f64]>, bar: &mut Bar) {
-        self.solver.equations.damping = lagged::<3>(&self.damping, self.solver.equations.inside, rate);
+        self.damp(rate);
         self.solver.equations.pull_back_linear(d, flow, heat, bar);
     }
 

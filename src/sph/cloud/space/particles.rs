@@ -55,7 +55,7 @@ pub struct Cloud {
     /// Laplace's equation at the reference positions, and its transpose. Only a shape that changes needs them.
     map: OnceLock<Option<[Scalar; 2]>>,
     /// See [`Self::smoothing`].
-    smoothing: OnceLock<Vec<f64>>,
+    weights: OnceLock<Weights>,
 }
 
 /// The cloud of one shape.
@@ -76,6 +76,26 @@ pub struct Shaped {
 
 fn norm(a: [f64; 3]) -> f64 {
     a.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// How many steps tau is at most in time, inside and on the boundary, and less where S has less of a particle's own value than this.
+///
+/// In a step of any length the pressure that makes the flow fit to continuity is (D G + lag S)^-1 D u, and the velocity loses the part
+/// G (D G + lag S)^-1 D of itself, whose eigenvalues should be between 0 and 1 and must be below 1.6 ([`super::super::unsteady`]). S has 0.47 of a
+/// particle's own value on a lattice, in 1 / h^2, and less than 0.1 of some where layers meet the lattice: their neighbours lie near a
+/// quadric, which a fit of second order takes for a constant. There it lowers D G more than it smooths. With seven steps everywhere the largest
+/// eigenvalue around a cylinder between two walls is 4.1, and its flow was not finite in steps a third of what it chooses; with these it is 1.5 (with 7
+/// inside and a limit of 0.4 it is 1.2, but the drag of a ball of three spacings then 1.7 % above the steady flow's, not 1.0), and 1.4 around a box in
+/// a duct, where seven steps have 1.5.
+const LAG: [(f64, f64); 2] = [(14.0, 0.4), (10.0, 0.7)];
+
+/// What S counts for.
+#[derive(Debug, Clone)]
+struct Weights {
+    /// Beside the slope across the boundary at each of its points, in scales of the fit.
+    smoothing: Vec<f64>,
+    /// How many steps tau is at most, by particle.
+    lag: Vec<f64>,
 }
 
 impl Cloud {
@@ -112,7 +132,7 @@ impl Cloud {
             centre,
             threads,
             map: OnceLock::new(),
-            smoothing: OnceLock::new(),
+            weights: OnceLock::new(),
         })
     }
 
@@ -142,29 +162,44 @@ impl Cloud {
         self.ground.surfaces.iter().map(|surface| surface.numbers.clone()).collect()
     }
 
-    /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit: that of the reference cloud, so that it
-    /// does not change with the shape.
-    pub fn smoothing(&self, shaped: &Shaped) -> &[f64] {
-        self.smoothing.get_or_init(|| {
+    /// Those of the reference cloud, so that they do not change with the shape.
+    fn weights(&self, shaped: &Shaped) -> &Weights {
+        self.weights.get_or_init(|| {
             let reference = self.reference();
             let own = (shaped.position != reference).then(|| self.fits.coefficients(&reference));
             let operators = own.as_ref().unwrap_or(&shaped.operators);
-            let of = |(k, point): (usize, &BoundaryPoint)| {
-                let i = self.places.inside + k;
-                let normal = if point.on.is_some() { point.normal } else { shaped.conditions[k].normal };
-                let (scale, mut slope, mut rest) = (self.fits.all.scale(i), 0.0, 0.0);
+            // What S has of a particle's own value, and slopes along a direction.
+            let of = |i: usize, along: [f64; 3]| {
+                let (scale, mut left, mut slope) = (self.fits.all.scale(i), 0.0, 0.0);
                 for c in (0..self.fits.all.count(i)).map(|pair| operators.of(i, pair)) {
-                    slope += scale * dot(normal, &c);
-                    rest += scale * scale * c[LEFT];
+                    left += scale * scale * c[LEFT];
+                    slope += scale * dot(along, &c);
                 }
-                if slope + rest >= LEAST {
+                [left, slope]
+            };
+            let smoothing = |(k, point): (usize, &BoundaryPoint)| {
+                let normal = if point.on.is_some() { point.normal } else { shaped.conditions[k].normal };
+                let [left, slope] = of(self.places.inside + k, normal);
+                if slope + left >= LEAST {
                     1.0
                 } else {
-                    (OWN - slope) / rest
+                    (OWN - slope) / left
                 }
             };
-            self.places.boundary.iter().enumerate().map(of).collect()
+            let lag = |i: usize| {
+                let (lag, seen) = LAG[usize::from(i >= self.places.inside)];
+                lag * (of(i, [0.0; 3])[0] / seen).min(1.0)
+            };
+            Weights {
+                smoothing: self.places.boundary.iter().enumerate().map(smoothing).collect(),
+                lag: (0..self.particles()).map(lag).collect(),
+            }
         })
+    }
+
+    /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit.
+    pub fn smoothing(&self, shaped: &Shaped) -> &[f64] {
+        &self.weights(shaped).smoothing
     }
 
     /// The equations for a shape, whose conditions they hold.
@@ -181,6 +216,7 @@ impl Cloud {
             conditions: shaped.conditions.clone(),
             ends: vec![],
             smoothing: self.smoothing(shaped).to_vec(),
+            lag: self.weights(shaped).lag.clone(),
             fits: Arc::clone(&self.fits),
         }
     }
