@@ -25,7 +25,7 @@ use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{
-    accumulate, at, dot, factorise, monomials, packed, quadratic, solve, to_third, values,
+    accumulate, at, dot, factorise, laplacian, monomials, packed, solve, to_third, values,
 };
 
 /// Coefficients of a pair in the plane: the derivatives x, y, xx, xy, yy, and S.
@@ -197,6 +197,17 @@ impl<const D: usize> Stencils<D> {
         self.list[(self.first[block] + k) * WIDEST + l..].as_ptr()
     }
 
+    /// Numbers of the particles from lane `l` of a block on; 0 behind the last one.
+    #[inline(always)]
+    pub(super) fn lanes<L: Lanes<Real = f64>>(&self, block: usize, l: usize, of: impl Fn(usize) -> f64) -> L {
+        let mut numbers = [0.0; WIDEST];
+        for (lane, number) in numbers[..L::COUNT].iter_mut().enumerate() {
+            let i = block * WIDEST + l + lane;
+            *number = if i < self.particles { of(i) } else { 0.0 };
+        }
+        L::load_part(&numbers[..])
+    }
+
     /// The scale h of a particle's fit.
     pub fn scale(&self, i: usize) -> f64 {
         self.scale[i]
@@ -322,11 +333,7 @@ impl<const C: usize> Coefficients<C> {
         array(|f| match f {
             slope if slope < D => of(slope),
             left if left == F - 1 => of(C - 1),
-            _ => {
-                let mut sum = of(quadratic(D, 0, 0));
-                (1..D).for_each(|d| sum += of(quadratic(D, d, d)));
-                sum
-            }
+            _ => laplacian::<L, D>(of),
         })
     }
 

@@ -286,26 +286,18 @@ impl<'a, const D: usize, const Q: usize, const P: usize, const C: usize> PartKer
         for l in (0..WIDEST).step_by(L::COUNT) {
             let third = L::load_part(&stencils.third[block * WIDEST + l..]);
             let Fit { factor, inverse_scale, square, .. } = fit::<L, D, Q, P>(stencils, self.position, block, l);
-            let lane = |of: &dyn Fn(usize) -> f64| -> L {
-                let mut numbers = [0.0; WIDEST];
-                for (lane, number) in numbers[..L::COUNT].iter_mut().enumerate() {
-                    let i = block * WIDEST + l + lane;
-                    *number = if i < stencils.particles { of(i) } else { 0.0 };
-                }
-                L::load_part(&numbers[..])
-            };
             let second = inverse_scale * inverse_scale;
             for to in (0..D * neighbours).map(|k| k * WIDEST + l) {
                 part[to..to + L::COUNT].fill(0.0);
             }
             for product in 0..self.known.products() {
                 let derivative = |a: usize| match self.known {
-                    Known::Fields(_, bar) => lane(&|i| bar[product][i][a]),
+                    Known::Fields(_, bar) => stencils.lanes(block, l, |i| bar[product][i][a]),
                     Known::Pairs(_) => L::splat(if a == product { 1.0 } else { 0.0 }),
                 };
                 let left = derivative(C - 1) * L::splat(2.0 * D as f64) * second / square;
                 let own = match self.known {
-                    Known::Fields(fields, _) => lane(&|i| fields[product][i]),
+                    Known::Fields(fields, _) => stencils.lanes(block, l, |i| fields[product][i]),
                     Known::Pairs(_) => L::zero(),
                 };
                 let difference = |k: usize| match self.known {

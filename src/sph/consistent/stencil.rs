@@ -16,6 +16,7 @@
 //! ```
 
 use crate::numerics::lanes::{Lanes, Real};
+use std::ops::AddAssign;
 
 /// Number of monomials up to second order: D linear, then D (D + 1) / 2 quadratic ones.
 pub const fn monomials(dimension: usize) -> usize {
@@ -131,9 +132,9 @@ pub fn pull_back_along<L: Lanes, const D: usize, const Q: usize>(
 }
 
 #[inline(always)]
-pub fn laplacian<R: Real, const D: usize>(d: impl Fn(usize) -> R) -> R {
-    let mut sum = R::default();
-    for a in 0..D {
+pub fn laplacian<T: AddAssign, const D: usize>(d: impl Fn(usize) -> T) -> T {
+    let mut sum = d(quadratic(D, 0, 0));
+    for a in 1..D {
         sum += d(quadratic(D, a, a));
     }
     sum

@@ -160,8 +160,6 @@ impl OverRelief {
             conditions: (0..2 * columns).map(condition).collect(),
             ends: self.ends.clone(),
             smoothing: vec![1.0; 2 * columns],
-            // Its flows are steady.
-            lag: vec![],
             fits: Arc::clone(&self.fits),
         };
         let height = channel.height();

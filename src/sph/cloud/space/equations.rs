@@ -63,8 +63,6 @@ pub struct Equations {
     pub ends: Vec<Option<End>>,
     /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit.
     pub smoothing: Vec<f64>,
-    /// How many steps tau is at most in time, by particle.
-    pub lag: Vec<f64>,
     pub fits: Arc<Fits<3>>,
 }
 

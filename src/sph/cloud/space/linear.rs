@@ -396,14 +396,7 @@ impl<'a> PartKernel<f64> for Product<'a> {
         let particles = part.len() / FLOW;
         for l in (0..particles).step_by(L::COUNT) {
             let here = L::COUNT.min(particles - l);
-            let lane = |of: &dyn Fn(usize) -> f64| -> L {
-                let mut numbers = [0.0; WIDEST];
-                for k in 0..here {
-                    numbers[k] = of(block * WIDEST + l + k);
-                }
-                L::load_part(&numbers[..])
-            };
-            let share: [L; 6] = array(|a| lane(&|i| self.shares[i][a]));
+            let share: [L; 6] = array(|a| self.stencils.lanes(block, l, |i| self.shares[i][a]));
             // Momentum by what is carried and by the slopes of the pressure, and continuity.
             let (mut carried, mut pushed, mut flow) = ([L::zero(); 3], [L::zero(); 3], L::zero());
             for k in 0..self.stencils.count(block * WIDEST) {

@@ -49,17 +49,19 @@ pub struct March<'a> {
     kept: Vec<Matrices<'a>>,
     border: Border,
     extra: [bool; 2],
-    /// tau of a steady flow.
+    /// tau of a steady flow, and how many steps it is at most.
     damping: Vec<f64>,
+    lag: &'a [f64],
     factorisations: usize,
 }
 
 impl<'a> March<'a> {
-    /// `held`: a flow rate that is held, and how it follows from the state.
+    /// `lag`: how many steps tau is at most, by particle. `held`: a flow rate that is held, and how it follows from the state.
     pub fn new(
         equations: Equations,
         places: &[[f64; 3]],
         operators: &'a Coefficients<C>,
+        lag: &'a [f64],
         held: Drive<'_>,
         threads: usize,
     ) -> Self {
@@ -68,7 +70,7 @@ impl<'a> March<'a> {
         let order = (n <= FACTORISED).then(|| Arc::new(Order::new(&equations.fits.all.matrix(FLOW), |i| places[i])));
         let solver = Solver { order, ..Solver::new(equations, threads) };
         let border = solver.border(&State::at_rest(n), &Derivatives::zeros(n), operators, held);
-        Self { solver, operators, kept: vec![], border, extra, damping, factorisations: 0 }
+        Self { solver, operators, kept: vec![], border, extra, damping, lag, factorisations: 0 }
     }
 
     /// The same without exact factors of few particles.
@@ -88,8 +90,7 @@ impl<'a> March<'a> {
 
     /// Gives the equations tau of steps with a0 / dt.
     fn damp(&mut self, rate: f64) {
-        let equations = &mut self.solver.equations;
-        equations.damping = lagged(&self.damping, |i| equations.lag[i], rate);
+        self.solver.equations.damping = lagged(&self.damping, |i| self.lag[i], rate);
     }
 
     /// Puts the systems for a0 / dt to the end of those that are kept.

@@ -55,7 +55,9 @@ pub struct Cloud {
     /// Laplace's equation at the reference positions, and its transpose. Only a shape that changes needs them.
     map: OnceLock<Option<[Scalar; 2]>>,
     /// See [`Self::smoothing`].
-    weights: OnceLock<Weights>,
+    smoothing: OnceLock<Vec<f64>>,
+    /// See [`Self::lag`]. Only flows in time need it.
+    lag: OnceLock<Vec<f64>>,
 }
 
 /// The cloud of one shape.
@@ -88,15 +90,6 @@ fn norm(a: [f64; 3]) -> f64 {
 /// inside and a limit of 0.4 it is 1.2, but the drag of a ball of three spacings then 1.7 % above the steady flow's, not 1.0), and 1.4 around a box in
 /// a duct, where seven steps have 1.5.
 const LAG: [(f64, f64); 2] = [(14.0, 0.4), (10.0, 0.7)];
-
-/// What S counts for.
-#[derive(Debug, Clone)]
-struct Weights {
-    /// Beside the slope across the boundary at each of its points, in scales of the fit.
-    smoothing: Vec<f64>,
-    /// How many steps tau is at most, by particle.
-    lag: Vec<f64>,
-}
 
 impl Cloud {
     /// Places particles around the shapes of `ground`.
@@ -132,7 +125,8 @@ impl Cloud {
             centre,
             threads,
             map: OnceLock::new(),
-            weights: OnceLock::new(),
+            smoothing: OnceLock::new(),
+            lag: OnceLock::new(),
         })
     }
 
@@ -162,44 +156,54 @@ impl Cloud {
         self.ground.surfaces.iter().map(|surface| surface.numbers.clone()).collect()
     }
 
-    /// Those of the reference cloud, so that they do not change with the shape.
-    fn weights(&self, shaped: &Shaped) -> &Weights {
-        self.weights.get_or_init(|| {
-            let reference = self.reference();
-            let own = (shaped.position != reference).then(|| self.fits.coefficients(&reference));
-            let operators = own.as_ref().unwrap_or(&shaped.operators);
-            // What S has of a particle's own value, and slopes along a direction.
-            let of = |i: usize, along: [f64; 3]| {
-                let (scale, mut left, mut slope) = (self.fits.all.scale(i), 0.0, 0.0);
-                for c in (0..self.fits.all.count(i)).map(|pair| operators.of(i, pair)) {
-                    left += scale * scale * c[LEFT];
-                    slope += scale * dot(along, &c);
-                }
-                [left, slope]
-            };
-            let smoothing = |(k, point): (usize, &BoundaryPoint)| {
-                let normal = if point.on.is_some() { point.normal } else { shaped.conditions[k].normal };
-                let [left, slope] = of(self.places.inside + k, normal);
-                if slope + left >= LEAST {
-                    1.0
-                } else {
-                    (OWN - slope) / left
-                }
-            };
-            let lag = |i: usize| {
-                let (lag, seen) = LAG[usize::from(i >= self.places.inside)];
-                lag * (of(i, [0.0; 3])[0] / seen).min(1.0)
-            };
-            Weights {
-                smoothing: self.places.boundary.iter().enumerate().map(smoothing).collect(),
-                lag: (0..self.particles()).map(lag).collect(),
-            }
-        })
+    /// What follows from the coefficients of the reference cloud, so that it does not change with the shape.
+    fn of_reference<T>(&self, shaped: &Shaped, of: impl Fn(&Coefficients<C>) -> T) -> T {
+        let reference = self.reference();
+        match shaped.position == reference {
+            true => of(&shaped.operators),
+            false => of(&self.fits.coefficients(&reference)),
+        }
+    }
+
+    /// A sum over the coefficients of a particle's pairs.
+    fn sum(&self, operators: &Coefficients<C>, i: usize, of: impl Fn(&[f64; C]) -> f64) -> f64 {
+        (0..self.fits.all.count(i)).map(|pair| of(&operators.of(i, pair))).sum()
+    }
+
+    /// What S has of a particle's own value.
+    fn seen(&self, operators: &Coefficients<C>, i: usize) -> f64 {
+        self.fits.all.scale(i).powi(2) * self.sum(operators, i, |c| c[LEFT])
     }
 
     /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit.
     pub fn smoothing(&self, shaped: &Shaped) -> &[f64] {
-        &self.weights(shaped).smoothing
+        let of = |operators: &Coefficients<C>| {
+            let of = |(k, point): (usize, &BoundaryPoint)| {
+                let i = self.places.inside + k;
+                let normal = if point.on.is_some() { point.normal } else { shaped.conditions[k].normal };
+                let slope = self.fits.all.scale(i) * self.sum(operators, i, |c| dot(normal, c));
+                let seen = self.seen(operators, i);
+                if slope + seen >= LEAST {
+                    1.0
+                } else {
+                    (OWN - slope) / seen
+                }
+            };
+            self.places.boundary.iter().enumerate().map(of).collect()
+        };
+        self.smoothing.get_or_init(|| self.of_reference(shaped, of))
+    }
+
+    /// How many steps tau is at most in time, by particle: `LAG` says why.
+    pub fn lag(&self, shaped: &Shaped) -> &[f64] {
+        let of = |operators: &Coefficients<C>| {
+            let of = |i: usize| {
+                let (lag, least) = LAG[usize::from(i >= self.places.inside)];
+                lag * (self.seen(operators, i) / least).min(1.0)
+            };
+            (0..self.particles()).map(of).collect()
+        };
+        self.lag.get_or_init(|| self.of_reference(shaped, of))
     }
 
     /// The equations for a shape, whose conditions they hold.
@@ -216,7 +220,6 @@ impl Cloud {
             conditions: shaped.conditions.clone(),
             ends: vec![],
             smoothing: self.smoothing(shaped).to_vec(),
-            lag: self.weights(shaped).lag.clone(),
             fits: Arc::clone(&self.fits),
         }
     }
@@ -382,12 +385,12 @@ fn kind(ground: &Ground, places: &Places, i: usize) -> Where {
 struct Near {
     first: Vec<usize>,
     counts: Vec<usize>,
-    all: Vec<(f64, u32)>,
+    table: Vec<(f64, u32)>,
 }
 
 impl Near {
     fn of(&self, i: usize) -> &[(f64, u32)] {
-        &self.all[self.first[i]..self.first[i] + self.counts[i]]
+        &self.table[self.first[i]..self.first[i] + self.counts[i]]
     }
 }
 
@@ -410,9 +413,9 @@ fn neighbours(ground: &Ground, places: &Places, kinds: &[Where], threads: usize)
     let n = places.place.len();
     let mut first = vec![0];
     kinds.iter().for_each(|kind| first.push(first[first.len() - 1] + kind.needs()));
-    let mut all = vec![(0.0, 0); first[n]];
+    let mut table = vec![(0.0, 0); first[n]];
     let share = n.div_ceil(threads.max(1)).max(1);
-    let mut rest = &mut all[..];
+    let mut rest = &mut table[..];
     let mut counts = vec![0; n];
     std::thread::scope(|scope| {
         for (part, counts) in counts.chunks_mut(share).enumerate() {
@@ -429,5 +432,5 @@ fn neighbours(ground: &Ground, places: &Places, kinds: &[Where], threads: usize)
             });
         }
     });
-    Near { first, counts, all }
+    Near { first, counts, table }
 }
