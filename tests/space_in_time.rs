@@ -10,8 +10,9 @@ use hydrograd::scene::around_shapes::AroundShapes;
 use hydrograd::scene::history::{History, Of};
 use hydrograd::sph::cloud::figures::Figure;
 use hydrograd::sph::cloud::space::equations::State;
+use hydrograd::sph::cloud::space::march::LAG;
 use hydrograd::sph::cloud::space::problem::Solution;
-use hydrograd::sph::cloud::unsteady::{Guess, Scheme};
+use hydrograd::sph::cloud::unsteady::{lagged, Guess, Scheme};
 use std::f64::consts::PI;
 
 fn config(text: &str) -> Config {
@@ -96,8 +97,8 @@ const BALL: &str = "region.size = [0.6, 0.4, 0.4]\nregion.periodic = [true, fals
     region.sides.top = { kind = \"wall\", temperature = 0.0 }\nobjective.kind = \"flow-rate\"\n\
     [[shapes]]\nkind = \"disc\"\ncentre = [0.3, 0.2, 0.2]\nradius = 0.1\ntemperature = 1.0\n";
 
-/// A flow in time becomes that of Newton's method, with the same rate, force and heat by the ball's surface, but for what the pressure's
-/// damping, which is less in steps, changes with three spacings across the ball.
+/// A flow in time becomes that of Newton's method, with the same rate, force and heat by the ball's surface: closely if that one has the
+/// damping of the pressure that steps have, and else but for what this changes with three spacings across the ball.
 #[test]
 fn a_flow_in_time_becomes_the_steady_one() {
     let mut steady = AroundBodies::new(&config(BALL)).unwrap();
@@ -112,9 +113,19 @@ fn a_flow_in_time_becomes_the_steady_one() {
         [rate, measures.surface_force(&at, 0, 0), measures.surface_heat(&at, 0)]
     };
     let (found, known) = (of(&around, &last), of(&steady, &solution));
-    println!("{found:?}, steady {known:?}");
-    for (found, known) in found.iter().zip(known) {
-        assert!((found / known - 1.0).abs() < 1e-2, "{found}, steady {known}");
+    let dt = history.sizes[history.sizes.len() - 2];
+    let equations = &mut steady.flow.solver.equations;
+    let inside = equations.inside;
+    equations.damping = lagged(&equations.damping, |i| LAG[usize::from(i >= inside)], 1.5 / dt);
+    let solution = steady.solve(&[]).unwrap();
+    let as_in_steps = of(&steady, &solution);
+    println!("{found:?}, steady {known:?}, with the damping of steps of {dt} {as_in_steps:?}");
+    // The force was bounded by 1 % too, when tau was up to fourteen steps; with five, which more flows in short steps are stable with, it
+    // is 1.2 %. That it is the damping is what the other bounds say. (The heat, which leaves through one wall only, is not steady yet.)
+    for (k, bounds) in [[1e-2, 5e-4], [1.5e-2, 5e-4], [1e-2, 1e-2]].into_iter().enumerate() {
+        for (known, bound) in [known[k], as_in_steps[k]].into_iter().zip(bounds) {
+            assert!((found[k] / known - 1.0).abs() < bound, "{}, steady {known}", found[k]);
+        }
     }
 }
 

@@ -18,6 +18,9 @@ use std::time::{Duration, Instant};
 
 /// The signal that asked, or 0.
 static ASKED: AtomicI32 = AtomicI32::new(0);
+/// Whether this process tells the user so, and whether it has.
+static SPEAKS: AtomicBool = AtomicBool::new(false);
+static HAS_SPOKEN: AtomicBool = AtomicBool::new(false);
 /// What a user is told to do then.
 static ADVICE: OnceLock<String> = OnceLock::new();
 
@@ -36,34 +39,31 @@ pub fn listen(advice: impl Into<String>) -> std::io::Result<()> {
     if ADVICE.set(advice.into()).is_err() {
         return Ok(());
     }
-    begin(true)
+    SPEAKS.store(true, Ordering::Relaxed);
+    begin()
 }
 
 /// The same for a process that another one speaks for.
 pub fn listen_quietly() -> std::io::Result<()> {
-    begin(false)
+    begin()
 }
 
-fn begin(speaks: bool) -> std::io::Result<()> {
+fn begin() -> std::io::Result<()> {
     let mut signals = Signals::new([SIGINT, SIGTERM])?;
     let wait = move || {
         let mut first = None;
         for signal in signals.forever() {
+            // Not by what was asked: another rank may have told this one what its own signal says a moment later.
+            let is_first = first.is_none();
             let since = first.get_or_insert_with(Instant::now).elapsed();
-            let is_first = ASKED.load(Ordering::Relaxed) == 0;
             if !is_first && signal == SIGTERM && since < TOGETHER {
                 continue;
             }
             if !is_first {
                 let _ = emulate_default_handler(signal);
             }
-            if speaks {
-                // Before the work sees the signal, because it may be at its end at once. Where stderr is closed there is nobody to tell.
-                let _ =
-                    writeln!(std::io::stderr(), "{}: keeps what there is, then stops (again: at once)", name(signal));
-            }
-            ASKED.store(signal, Ordering::Relaxed);
-            if speaks && NEEDS_OTHERS.load(Ordering::Relaxed) {
+            ask(signal);
+            if SPEAKS.load(Ordering::Relaxed) && NEEDS_OTHERS.load(Ordering::Relaxed) {
                 std::thread::sleep(PATIENCE);
                 if !OTHERS_ANSWERED.load(Ordering::Relaxed) {
                     let _ = writeln!(std::io::stderr(), "{}", unanswered());
@@ -100,8 +100,12 @@ pub fn asked() -> Option<i32> {
     Some(ASKED.load(Ordering::Relaxed)).filter(|&signal| signal != 0)
 }
 
-/// As if this process had got the signal that another one got.
+/// As if this process had got the signal, which another one may have got.
 pub fn ask(signal: i32) {
+    if SPEAKS.load(Ordering::Relaxed) && !HAS_SPOKEN.swap(true, Ordering::Relaxed) {
+        // Before the work sees the signal, because it may be at its end at once. Where stderr is closed there is nobody to tell.
+        let _ = writeln!(std::io::stderr(), "{}: keeps what there is, then stops (again: at once)", name(signal));
+    }
     ASKED.store(signal, Ordering::Relaxed);
 }
 

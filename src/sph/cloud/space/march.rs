@@ -23,6 +23,14 @@ const TOLERANCE: f64 = 1e-10;
 const ROUNDING: f64 = 1e-13;
 /// The relative residual of adjoints and of temperatures.
 const ADJOINT: f64 = 1e-11;
+/// How many steps tau is at most, inside and on the boundary, as [in the plane](super::super::unsteady::LAG).
+///
+/// In a step of any length the pressure that makes the flow fit to continuity is (D G + lag S)^-1 D u, and the velocity loses the part
+/// G (D G + lag S)^-1 D of itself, whose eigenvalues should be between 0 and 1 and must be below 1.6. In ducts with cylinders of 2.5 to 3.5 spacings, seven
+/// spacings wide, the largest is 1.9 to 2.1 with seven steps everywhere, 1.7 to 2.0 with six inside and ten on the boundary, and 1.5 to 1.65 with these;
+/// in ducts of twelve spacings it is 1.3, 1.25 and 1.2. The less tau is, the less it smooths pressures: the drag of a ball of three spacings by its surface is
+/// 0.9, 1.0 and 1.2 % above the steady flow's.
+pub const LAG: [f64; 2] = [5.0, 7.0];
 /// Up to so many particles the whole matrix is factorised exactly.
 const FACTORISED: usize = 2000;
 /// Memory of the matrices that are kept, of sizes of steps and their transposes; one is kept in any case.
@@ -49,19 +57,17 @@ pub struct March<'a> {
     kept: Vec<Matrices<'a>>,
     border: Border,
     extra: [bool; 2],
-    /// tau of a steady flow, and how many steps it is at most.
+    /// tau of a steady flow.
     damping: Vec<f64>,
-    lag: &'a [f64],
     factorisations: usize,
 }
 
 impl<'a> March<'a> {
-    /// `lag`: how many steps tau is at most, by particle. `held`: a flow rate that is held, and how it follows from the state.
+    /// `held`: a flow rate that is held, and how it follows from the state.
     pub fn new(
         equations: Equations,
         places: &[[f64; 3]],
         operators: &'a Coefficients<C>,
-        lag: &'a [f64],
         held: Drive<'_>,
         threads: usize,
     ) -> Self {
@@ -70,7 +76,7 @@ impl<'a> March<'a> {
         let order = (n <= FACTORISED).then(|| Arc::new(Order::new(&equations.fits.all.matrix(FLOW), |i| places[i])));
         let solver = Solver { order, ..Solver::new(equations, threads) };
         let border = solver.border(&State::at_rest(n), &Derivatives::zeros(n), operators, held);
-        Self { solver, operators, kept: vec![], border, extra, damping, lag, factorisations: 0 }
+        Self { solver, operators, kept: vec![], border, extra, damping, factorisations: 0 }
     }
 
     /// The same without exact factors of few particles.
@@ -90,7 +96,8 @@ impl<'a> March<'a> {
 
     /// Gives the equations tau of steps with a0 / dt.
     fn damp(&mut self, rate: f64) {
-        self.solver.equations.damping = lagged(&self.damping, |i| self.lag[i], rate);
+        let inside = self.solver.equations.inside;
+        self.solver.equations.damping = lagged(&self.damping, |i| LAG[usize::from(i >= inside)], rate);
     }
 
     /// Puts the systems for a0 / dt to the end of those that are kept.

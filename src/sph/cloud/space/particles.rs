@@ -56,8 +56,6 @@ pub struct Cloud {
     map: OnceLock<Option<[Scalar; 2]>>,
     /// See [`Self::smoothing`].
     smoothing: OnceLock<Vec<f64>>,
-    /// See [`Self::lag`]. Only flows in time need it.
-    lag: OnceLock<Vec<f64>>,
 }
 
 /// The cloud of one shape.
@@ -79,17 +77,6 @@ pub struct Shaped {
 fn norm(a: [f64; 3]) -> f64 {
     a.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
-
-/// How many steps tau is at most in time, inside and on the boundary, and less where S has less of a particle's own value than this.
-///
-/// In a step of any length the pressure that makes the flow fit to continuity is (D G + lag S)^-1 D u, and the velocity loses the part
-/// G (D G + lag S)^-1 D of itself, whose eigenvalues should be between 0 and 1 and must be below 1.6 ([`super::super::unsteady`]). S has 0.47 of a
-/// particle's own value on a lattice, in 1 / h^2, and less than 0.1 of some where layers meet the lattice: their neighbours lie near a
-/// quadric, which a fit of second order takes for a constant. There it lowers D G more than it smooths. With seven steps everywhere the largest
-/// eigenvalue around a cylinder between two walls is 4.1, and its flow was not finite in steps a third of what it chooses; with these it is 1.5 (with 7
-/// inside and a limit of 0.4 it is 1.2, but the drag of a ball of three spacings then 1.7 % above the steady flow's, not 1.0), and 1.4 around a box in
-/// a duct, where seven steps have 1.5.
-const LAG: [(f64, f64); 2] = [(14.0, 0.4), (10.0, 0.7)];
 
 impl Cloud {
     /// Places particles around the shapes of `ground`.
@@ -126,7 +113,6 @@ impl Cloud {
             threads,
             map: OnceLock::new(),
             smoothing: OnceLock::new(),
-            lag: OnceLock::new(),
         })
     }
 
@@ -170,19 +156,15 @@ impl Cloud {
         (0..self.fits.all.count(i)).map(|pair| of(&operators.of(i, pair))).sum()
     }
 
-    /// What S has of a particle's own value.
-    fn seen(&self, operators: &Coefficients<C>, i: usize) -> f64 {
-        self.fits.all.scale(i).powi(2) * self.sum(operators, i, |c| c[LEFT])
-    }
-
     /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit.
     pub fn smoothing(&self, shaped: &Shaped) -> &[f64] {
         let of = |operators: &Coefficients<C>| {
             let of = |(k, point): (usize, &BoundaryPoint)| {
                 let i = self.places.inside + k;
                 let normal = if point.on.is_some() { point.normal } else { shaped.conditions[k].normal };
-                let slope = self.fits.all.scale(i) * self.sum(operators, i, |c| dot(normal, c));
-                let seen = self.seen(operators, i);
+                let scale = self.fits.all.scale(i);
+                let slope = scale * self.sum(operators, i, |c| dot(normal, c));
+                let seen = scale * scale * self.sum(operators, i, |c| c[LEFT]);
                 if slope + seen >= LEAST {
                     1.0
                 } else {
@@ -192,18 +174,6 @@ impl Cloud {
             self.places.boundary.iter().enumerate().map(of).collect()
         };
         self.smoothing.get_or_init(|| self.of_reference(shaped, of))
-    }
-
-    /// How many steps tau is at most in time, by particle: `LAG` says why.
-    pub fn lag(&self, shaped: &Shaped) -> &[f64] {
-        let of = |operators: &Coefficients<C>| {
-            let of = |i: usize| {
-                let (lag, least) = LAG[usize::from(i >= self.places.inside)];
-                lag * (self.seen(operators, i) / least).min(1.0)
-            };
-            (0..self.particles()).map(of).collect()
-        };
-        self.lag.get_or_init(|| self.of_reference(shaped, of))
     }
 
     /// The equations for a shape, whose conditions they hold.

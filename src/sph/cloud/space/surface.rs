@@ -186,8 +186,11 @@ impl Surface {
                 let round = spread(&samples, &way, &vec![spacing; samples.len()], true, 0.0, 1.0);
                 let count = (region.size[*axis] / spacing).round().max(1.0) as usize;
                 let step = region.size[*axis] / count as f64;
+                // Layers have their first row as far from a side as rows are from each other.
+                let between_sides = distance > 0.0 && !region.periodic[*axis];
+                let (rows, first) = if between_sides { (count - 1, step) } else { (count, 0.5 * step) };
                 let row = |k: usize| {
-                    let at = (k as f64 + 0.5) * step;
+                    let at = first + k as f64 * step;
                     // Every second row is half a point further.
                     let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
                     let of = |&(t, dt, _): &(f64, f64, f64)| (t + shift * dt, dt);
@@ -197,7 +200,7 @@ impl Surface {
                         .map(move |(t, dt)| Spot::Column { t: t.rem_euclid(1.0), dt, at, length: step })
                         .collect::<Vec<_>>()
                 };
-                (0..count).flat_map(row).collect()
+                (0..rows).flat_map(row).collect()
             }
             Form::Facets(facets) => {
                 let scale = self.numbers[3];
