@@ -73,13 +73,15 @@ const TELLTALES: [(&str, Option<&str>); 7] = [
 
 impl Content {
     fn of(folder: &Path) -> Self {
+        // Before the marker is read: who begins at the same time writes it before all other files.
+        let telltale = TELLTALES.iter().find(|(file, _)| folder.join(file).exists());
         let text = std::fs::read_to_string(folder.join(MARKER)).unwrap_or_default();
         let mut lines = text.lines();
         // A process that was killed at its start leaves an empty marker.
         if let Some(kind) = lines.next() {
             return Self::Run { kind: kind.to_string(), finished: lines.next() == Some(FINISHED) };
         }
-        match TELLTALES.iter().find(|(file, _)| folder.join(file).exists()) {
+        match telltale {
             None => Self::Nothing,
             Some((_, Some(kind))) => Self::Run { kind: kind.to_string(), finished: false },
             Some((file, None)) => Self::Unknown(file),
