@@ -115,8 +115,7 @@ fn a_flow_in_time_becomes_the_steady_one() {
     let (found, known) = (of(&around, &last), of(&steady, &solution));
     let dt = history.sizes[history.sizes.len() - 2];
     let equations = &mut steady.flow.solver.equations;
-    let inside = equations.inside;
-    equations.damping = lagged(&equations.damping, |i| LAG[usize::from(i >= inside)], 1.5 / dt);
+    equations.damping = lagged(&equations.damping, equations.inside, LAG, 1.5 / dt);
     let solution = steady.solve(&[]).unwrap();
     let as_in_steps = of(&steady, &solution);
     println!("{found:?}, steady {known:?}, with the damping of steps of {dt} {as_in_steps:?}");

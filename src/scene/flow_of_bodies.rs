@@ -155,8 +155,7 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
         let cloud = &self.flow.cloud;
         let rate = Rate { measures: &self.flow.measures, shaped };
         let held = self.flow.held.as_ref().map(|held| (held, &rate as _));
-        let (equations, places) = (cloud.equations(shaped), &cloud.places.place);
-        March::new(equations, places, &shaped.operators, held, threads::count())
+        March::new(cloud.equations(shaped), &cloud.places.place, &shaped.operators, held, threads::count())
     }
 
     fn medium<'a>(&'a self, shaped: &'a Shaped) -> Medium<'a, 3, COEFFICIENTS_3D> {

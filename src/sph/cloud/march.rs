@@ -80,7 +80,7 @@ impl<'a> March<'a> {
     /// Gives the equations tau of steps with a0 / dt.
     fn damp(&mut self, rate: f64) {
         let inside = self.solver.equations.inside;
-        self.solver.equations.damping = lagged(&self.damping, |i| LAG[usize::from(i >= inside)], rate);
+        self.solver.equations.damping = lagged(&self.damping, inside, LAG, rate);
     }
 
     /// The factors for a0 / dt.

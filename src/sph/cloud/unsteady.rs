@@ -63,9 +63,10 @@ pub const LAG: [f64; 2] = [6.0, 10.0];
 /// Steps without slopes of third order at the start: the pressure of the first one is that of the jolt which makes the flow fit to its walls.
 const UNCORRECTED: usize = 3;
 
-/// tau of each particle in steps with a0 / dt = `rate`, given that of the steady flow and how many steps it is at most.
-pub fn lagged(damping: &[f64], lag: impl Fn(usize) -> f64, rate: f64) -> Vec<f64> {
-    damping.iter().enumerate().map(|(i, tau)| 1.0 / (1.0 / tau + rate / lag(i))).collect()
+/// tau of each particle in steps with a0 / dt = `rate`, given that of the steady flow and how many steps it is at most, inside and on the
+/// boundary.
+pub fn lagged(damping: &[f64], inside: usize, lag: [f64; 2], rate: f64) -> Vec<f64> {
+    damping.iter().enumerate().map(|(i, tau)| 1.0 / (1.0 / tau + rate / lag[usize::from(i >= inside)])).collect()
 }
 
 /// A step: its size, and that of the one before (0: it does not look back).

@@ -23,7 +23,7 @@ const NEIGHBOURS: [usize; 6] = [32, 36, 40, 46, 52, 60];
 /// fluid slips is 26 % above the plane's on a fine cloud (of 3.6 spacings 6.2 %, by its surface 10.5 %). With 0.2 it is 11 % (1.9, 4.2), with 0.25 7.4 %
 /// (1.4, 3.2), with 0.35 3.7 % (0.7, 1.2), and with 0.4 3.5 % (0.6, 0.8).
 const SEEN: f64 = 0.35;
-/// The same on the boundary, where all are on one side. (With 32 the drag of an array of spheres is 2 % off, pressures
+/// Neighbours on the boundary, where all are on one side. (With 32 the drag of an array of spheres is 2 % off, pressures
 /// oscillate from point to point, and the iterations hardly converge.)
 const ON_BOUNDARY: usize = 56;
 /// Neighbours of fits of third order. (With 56 the drag of an array of spheres is up to 0.5 % lower.)
@@ -40,17 +40,12 @@ pub enum Where {
 }
 
 impl Where {
-    /// How many neighbours slopes may have.
-    fn counts(self) -> &'static [usize] {
-        match self {
-            Self::Boundary => &[ON_BOUNDARY],
-            Self::Far | Self::NearShape => &NEIGHBOURS,
-        }
-    }
-
     /// How many particles near each should be known.
     pub fn needs(self) -> usize {
-        self.counts().iter().fold(OF_THIRD_ORDER, |most, &count| most.max(count)) + 1
+        match self {
+            Self::Boundary => ON_BOUNDARY + 1,
+            Self::Far | Self::NearShape => OF_THIRD_ORDER.max(NEIGHBOURS[NEIGHBOURS.len() - 1]) + 1,
+        }
     }
 }
 
@@ -74,9 +69,11 @@ pub fn fits<'a>(
 
 /// How many neighbours the slopes of particle i have, of those `near` it.
 fn count(region: Region<3>, places: &[[f64; 3]], i: usize, kind: Where, near: &[(f64, u32)]) -> usize {
-    let counts = kind.counts();
-    let (mut most, mut best) = (f64::NEG_INFINITY, counts[0]);
-    for &count in counts.iter().take_while(|&&count| counts.len() > 1 && count < near.len()) {
+    if kind == Where::Boundary {
+        return ON_BOUNDARY;
+    }
+    let (mut most, mut best) = (f64::NEG_INFINITY, NEIGHBOURS[0]);
+    for count in NEIGHBOURS.into_iter().take_while(|&count| count < near.len()) {
         let seen = seen(region, places, i, &near[..=count]);
         if seen > most {
             (most, best) = (seen, count);

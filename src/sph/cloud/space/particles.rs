@@ -142,15 +142,6 @@ impl Cloud {
         self.ground.surfaces.iter().map(|surface| surface.numbers.clone()).collect()
     }
 
-    /// What follows from the coefficients of the reference cloud, so that it does not change with the shape.
-    fn of_reference<T>(&self, shaped: &Shaped, of: impl Fn(&Coefficients<C>) -> T) -> T {
-        let reference = self.reference();
-        match shaped.position == reference {
-            true => of(&shaped.operators),
-            false => of(&self.fits.coefficients(&reference)),
-        }
-    }
-
     /// A sum over the coefficients of a particle's pairs.
     fn sum(&self, operators: &Coefficients<C>, i: usize, of: impl Fn(&[f64; C]) -> f64) -> f64 {
         (0..self.fits.all.count(i)).map(|pair| of(&operators.of(i, pair))).sum()
@@ -173,7 +164,14 @@ impl Cloud {
             };
             self.places.boundary.iter().enumerate().map(of).collect()
         };
-        self.smoothing.get_or_init(|| self.of_reference(shaped, of))
+        // Those of the reference cloud, so that they do not change with the shape.
+        self.smoothing.get_or_init(|| {
+            let reference = self.reference();
+            match shaped.position == reference {
+                true => of(&shaped.operators),
+                false => of(&self.fits.coefficients(&reference)),
+            }
+        })
     }
 
     /// The equations for a shape, whose conditions they hold.
