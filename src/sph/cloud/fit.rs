@@ -20,6 +20,7 @@
 //!
 //! Tables of pairs are `[blocks, K, WIDEST]` (K of each block), those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
+use super::fits::Origin;
 use super::nearest::Region;
 use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
@@ -295,15 +296,26 @@ pub struct Coefficients<const C: usize = COEFFICIENTS> {
 }
 
 impl<const C: usize> Coefficients<C> {
-    /// Replaces those that are `taken` of every particle i by those of `other` coefficients, whose `count(i)` neighbours are the first of
-    /// this one's; where it has none they stay.
-    pub fn take(&mut self, other: &Self, count: impl Fn(usize) -> usize, taken: &[bool; C]) {
+    /// Replaces those of every particle i by what is to be in their places, of these and of the `small` fit, whose `count(i)` neighbours are
+    /// the first of this one's; where it has none they stay.
+    pub(super) fn take(
+        &mut self,
+        small: &Self,
+        count: impl Fn(usize) -> usize,
+        origins: impl Fn(usize) -> [Origin; C],
+    ) {
         for i in (0..(self.first.len() - 1) * WIDEST).filter(|&i| count(i) > 0) {
-            let block = i / WIDEST;
+            let (block, origins) = (i / WIDEST, origins(i));
             for k in 0..self.first[block + 1] - self.first[block] {
                 let first = (self.first[block] + k) * C * WIDEST + i % WIDEST;
-                let others = if k < count(i) { other.of(i, k) } else { [0.0; C] };
-                (0..C).filter(|c| taken[*c]).for_each(|c| self.value[first + c * WIDEST] = others[c]);
+                let own = self.of(i, k);
+                let of_small = if k < count(i) { small.of(i, k) } else { [0.0; C] };
+                for (c, origin) in origins.iter().enumerate() {
+                    self.value[first + c * WIDEST] = match *origin {
+                        Origin::Small(from) => of_small[from],
+                        Origin::All(from) => own[from],
+                    };
+                }
             }
         }
     }

@@ -5,6 +5,7 @@
 //! them.
 
 use super::fit::{fit, monomials_of, offset, Coefficients, Fit, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
+use super::fits::{divided, Origin};
 use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{dot, monomials, packed, pull_back, solve, to_third};
@@ -47,23 +48,30 @@ impl<const C: usize> PairCotangents<C> {
         &mut self.value[(stencils.row(i, k) * C + c) * WIDEST + i % WIDEST]
     }
 
-    /// Those of the coefficients that are `taken`, which are of `small`, whose neighbours are the first of those of `all`. They become 0
-    /// here; where `small` has none they stay.
-    pub(super) fn split<const D: usize>(&mut self, all: &Stencils<D>, small: &Stencils<D>, taken: &[bool; C]) -> Self {
+    /// Those of the coefficients of `small`, whose neighbours are the first of those of `all`, given where the coefficients in all places are
+    /// from. Those of `all` stay here; where `small` has no neighbours all do.
+    pub(super) fn split<const D: usize>(
+        &mut self,
+        all: &Stencils<D>,
+        small: &Stencils<D>,
+        origins: impl Fn(usize) -> [Origin; C],
+    ) -> Self {
         let mut found = Self::zeros(small);
         for block in 0..all.first.len() - 1 {
             let (from, to) = (all.first[block], small.first[block]);
             if small.first[block + 1] == to {
                 continue;
             }
-            for k in 0..all.first[block + 1] - from {
-                let is_of_both = k < small.first[block + 1] - to;
-                for c in (0..C).filter(|c| taken[*c]) {
-                    let own = &mut self.value[((from + k) * C + c) * WIDEST..][..WIDEST];
-                    if is_of_both {
-                        found.value[((to + k) * C + c) * WIDEST..][..WIDEST].copy_from_slice(own);
+            for lane in 0..WIDEST {
+                let origins = origins(block * WIDEST + lane);
+                for k in 0..all.first[block + 1] - from {
+                    let own = &mut self.value[(from + k) * C * WIDEST + lane..];
+                    let [of_small, of_all] = divided(&origins, &std::array::from_fn(|c| own[c * WIDEST]));
+                    (0..C).for_each(|c| own[c * WIDEST] = of_all[c]);
+                    if k < small.first[block + 1] - to {
+                        let other = &mut found.value[(to + k) * C * WIDEST + lane..];
+                        (0..C).for_each(|c| other[c * WIDEST] = of_small[c]);
                     }
-                    own.fill(0.0);
                 }
             }
         }

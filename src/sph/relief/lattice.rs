@@ -1,12 +1,13 @@
 //! The lattice, the steady flow on it, and its adjoint.
 
+use crate::numerics::lanes::WIDEST;
 use crate::numerics::sparse_lu::Order;
 use crate::sph::cloud::equations::{damping, Warmth};
 use crate::sph::cloud::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C};
 use crate::sph::cloud::fits::Fits;
 use crate::sph::cloud::nearest::{Nearest, Region};
 use crate::sph::cloud::space::equations::{
-    Bar, Condition, Derivatives, End, Equations, Motion, State, FLOW, TEMPERATURE,
+    Bar, Condition, Derivatives, End, Equations, Exchange, Motion, State, FLOW, TEMPERATURE,
 };
 use crate::sph::cloud::space::steady::{FlowRate, Solver};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
@@ -24,9 +25,18 @@ pub mod row {
 }
 
 /// How far the fits see, in squares of the spacing: whole shells of the lattice, 32 neighbours inside, 49 on walls, where all are on
-/// one side.
+/// one side, and 123 of the slopes by which heat passes through them. (A fit of third order to 75 is right on a flat lattice. There one of them
+/// alone is three rows away, and its weight is small: over a wall that is bent a little some slopes have coefficients of 30 instead of 1.)
 const INSIDE: f64 = 4.0;
 const ON_WALL: f64 = 6.0;
+const ACROSS_WALL: f64 = 13.0;
+
+/// Where an edge of the hot section acts on the lattice, in spacings from a column towards the hot side, if that column is as cold as those
+/// before it, and if it is as hot as those behind it. In between it is linear in how hot the column is, but for 0.004 spacings.
+///
+/// It follows from Laplace's equation in a half disc alone, as on the [lattice of the plane](crate::sph::fixed::channel::EDGE): the values
+/// r^(1/2) sin(theta/2) around it, given on the arc, hold inside too.
+const EDGE: [f64; 2] = [0.7434, -0.2565];
 
 /// Up to so many particles the matrix of the flow is factorised; of more GMRES is faster.
 const FACTORISED: usize = 7000;
@@ -98,11 +108,17 @@ impl OverRelief {
         let places: Vec<[f64; 3]> = (0..channel.particles()).map(|i| channel.place(i)).collect();
         let (inside, dx) = (channel.inside(), channel.spacing);
         let near = Nearest::new(region, 1.5 * dx, &places);
-        let reach = |i: usize| dx * (if i < inside { INSIDE } else { ON_WALL } + 1e-3).sqrt();
-        let lists: Vec<Vec<(f64, u32)>> = (0..places.len()).map(|i| near.of(places[i], 80, |j, _| j != i)).collect();
-        let count = |i: usize| lists[i].partition_point(|found| found.0 < reach(i));
-        let stencils =
-            Stencils::new(region, &places, count, |_| false, |i| &lists[i]).expect("enough particles for the fits");
+        let lists: Vec<Vec<(f64, u32)>> = (0..places.len()).map(|i| near.of(places[i], 130, |j, _| j != i)).collect();
+        let count = |i: usize, on_wall: f64| {
+            let reach = dx * (if i < inside { INSIDE } else { on_wall } + 1e-3).sqrt();
+            lists[i].partition_point(|found| found.0 < reach)
+        };
+        let stencils = |count: &dyn Fn(usize) -> usize, is_third: &dyn Fn(usize) -> bool| {
+            Stencils::new(region, &places, count, is_third, |i| &lists[i]).expect("enough particles for the fits")
+        };
+        let has_wall = |block: usize| (block + 1) * WIDEST > inside;
+        let small = stencils(&|i| if has_wall(i / WIDEST) { count(i, ON_WALL) } else { 0 }, &|_| false);
+        let all = stencils(&|i| count(i, ACROSS_WALL), &|i| i >= inside);
         let slack = 1e-9 * dx;
         let end = |i: usize| {
             let (x, before) = (places[i][0], channel.before(i));
@@ -113,9 +129,10 @@ impl OverRelief {
         };
         let ends = (0..places.len()).map(end).collect();
         // Seen from the side, across the shortest direction.
-        let order = || Arc::new(Order::new(&stencils.matrix(FLOW), |i| [places[i][0], places[i][1]]));
+        let fits = Arc::new(Fits::with_walls(small, all, inside));
+        let order = || Arc::new(Order::new(&fits.flow_matrix(FLOW), |i| [places[i][0], places[i][1]]));
         let order = (places.len() <= FACTORISED).then(order);
-        Self { fits: Arc::new(Fits::of_one(stencils)), ends, order, row_weights: row_weights(rows), channel }
+        Self { fits, ends, order, row_weights: row_weights(rows), channel }
     }
 
     pub fn particles(&self) -> usize {
@@ -139,12 +156,11 @@ impl OverRelief {
         fields[..3].iter_mut().for_each(|u| u[inside..].fill(0.0));
         let condition = |k: usize| {
             let i = inside + k;
-            let is_lower = k < columns;
-            let is_hot = is_lower && channel.is_hot(position[0][i]);
-            let normal = match is_lower {
+            let normal = match k < columns {
                 true => std::array::from_fn(|d| state[(row::U + d) * n + i]),
                 false => [0.0, -1.0, 0.0],
             };
+            let is_hot = k < columns && channel.hot_share(k) == 1.0;
             let warmth = if is_hot { Warmth::Given(channel.hot_excess) } else { Warmth::Flux(0.0) };
             Condition { motion: Motion::Given([0.0; 3]), warmth, normal }
         };
@@ -158,6 +174,7 @@ impl OverRelief {
             spacing: vec![h; n],
             inside,
             conditions: (0..2 * columns).map(condition).collect(),
+            exchange: (0..2 * columns).map(|k| channel.exchange(k)).collect(),
             ends: self.ends.clone(),
             smoothing: vec![1.0; 2 * columns],
             fits: Arc::clone(&self.fits),
@@ -204,12 +221,17 @@ impl OverRelief {
         let Flow { position, operators, solver, state: flow, .. } = self.flow(state);
         let of = |k: usize| {
             let (i, Condition { warmth, normal, .. }) = (inside + k, solver.equations.conditions[k]);
-            if matches!(warmth, Warmth::Flux(_)) || position[0][i] >= until {
+            if position[0][i] >= until {
                 return 0.0;
             }
-            let slopes = operators.derivatives(&self.fits.all, i, &flow.fields[TEMPERATURE]);
-            let along: f64 = (0..3).map(|d| normal[d] * slopes[d]).sum();
-            -channel.diffusivity * along * channel.spacing * channel.spacing / normal[1]
+            let area = channel.spacing * channel.spacing / normal[1];
+            let temperature = &flow.fields[TEMPERATURE];
+            if let Warmth::Flux(_) = warmth {
+                return solver.equations.exchanged(k, temperature[i]) * area;
+            }
+            let slopes = operators.derivatives(&self.fits.all, i, temperature);
+            let along: f64 = (0..3).map(|d| normal[d] * slopes[self.fits.across()[d]]).sum();
+            -channel.diffusivity * along * area
         };
         channel.density * (0..n - inside).map(of).sum::<f64>()
     }
@@ -265,10 +287,21 @@ impl Channel {
         self.cells[0] * self.cells[2]
     }
 
-    /// Whether the lower wall is hot at x; both ends of the hot section are.
-    pub fn is_hot(&self, x: f64) -> bool {
-        let slack = 1e-6 * self.spacing;
-        x > self.hot[0] - slack && x < self.hot[1] + slack
+    /// How hot a point of the lower wall is: 1, or 0, and at both ends of the hot section the share with which they act where they are.
+    pub fn hot_share(&self, point: usize) -> f64 {
+        let x = self.place(self.inside() + point)[0];
+        let [cold, hot] = EDGE;
+        let of = |distance: f64| ((cold - distance / self.spacing) / (cold - hot)).clamp(0.0, 1.0);
+        (of(self.hot[0] - x) + of(x - self.hot[1]) - 1.0).max(0.0)
+    }
+
+    /// The exchange of heat at a point of the walls, for one that is hot in part: the share of a hot wall's equation, over a spacing, beside that of
+    /// an adiabatic one.
+    fn exchange(&self, point: usize) -> Exchange {
+        let share = if point < self.columns() { self.hot_share(point) } else { 0.0 };
+        let is_part = share > 0.0 && share < 1.0;
+        let coefficient = if is_part { self.diffusivity * share / ((1.0 - share) * self.spacing) } else { 0.0 };
+        Exchange { coefficient, temperature: self.hot_excess }
     }
 
     /// Particles between the walls: row by row from below, each layer by layer along z, x fastest. Behind them are the points of the

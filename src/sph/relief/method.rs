@@ -33,7 +33,7 @@ impl<R: Real> ReliefParticles<R> {
         let tag_of = |i: usize| match i.checked_sub(channel.inside()) {
             None => tag::FLUID,
             Some(k) => {
-                if k < channel.columns() && channel.is_hot(channel.place(i)[0]) {
+                if k < channel.columns() && channel.hot_share(k) > 0.5 {
                     tag::HOT_SURFACE
                 } else {
                     tag::SURFACE

@@ -32,6 +32,13 @@ pub enum End {
     Outlet(u32),
 }
 
+/// Heat that a point of the boundary with a given flux gets besides: coefficient (T_0 - T), `temperature` T_0.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Exchange {
+    pub coefficient: f64,
+    pub temperature: f64,
+}
+
 /// u, v, w, p, T of all particles, and the two numbers of the whole flow.
 pub type State = equations::State<5>;
 pub type Motion = equations::Motion<3>;
@@ -59,6 +66,8 @@ pub struct Equations {
     pub spacing: Vec<f64>,
     pub inside: usize,
     pub conditions: Vec<Condition>,
+    /// By point of the boundary; none at all around bodies.
+    pub exchange: Vec<Exchange>,
     /// The ends of a channel that is periodic for the flow and not for the heat, by particle; none at all around bodies.
     pub ends: Vec<Option<End>>,
     /// Weight of S beside the slope across the boundary at each of its points, in scales of the fit.
@@ -81,7 +90,7 @@ impl Equations {
     }
 
     pub(super) fn smoothing(&self, i: usize) -> f64 {
-        self.smoothing[i - self.inside] * self.fits.all.scale(i)
+        self.smoothing[i - self.inside] * self.fits.scale(i)
     }
 
     /// Whether a pressure is given somewhere; otherwise lambda is unknown, and the mean of p is 0.
@@ -91,6 +100,22 @@ impl Equations {
 
     pub(super) fn condition(&self, i: usize) -> Option<&Condition> {
         i.checked_sub(self.inside).map(|k| &self.conditions[k])
+    }
+
+    /// [`Condition::across`] of the temperature at particle i of the boundary, or of the coefficients of a pair.
+    pub(super) fn warmth_across(&self, condition: &Condition, i: usize, d: &[f64; C]) -> f64 {
+        let slopes = self.fits.across().map(|c| d[c]);
+        (0..3).map(|e| condition.normal[e] * slopes[e]).sum::<f64>() + self.smoothing(i) * d[LEFT]
+    }
+
+    pub(super) fn exchange(&self, i: usize) -> Exchange {
+        i.checked_sub(self.inside).and_then(|k| self.exchange.get(k)).copied().unwrap_or_default()
+    }
+
+    /// The heat that a point of the boundary exchanges at temperature `t`, over density and heat capacity: temperature * volume / (area * time).
+    pub fn exchanged(&self, point: usize, t: f64) -> f64 {
+        let Exchange { coefficient, temperature } = self.exchange(self.inside + point);
+        coefficient * (temperature - t)
     }
 
     pub(super) fn end(&self, i: usize) -> Option<End> {
@@ -166,7 +191,7 @@ impl Equations {
                 None => dot(state.velocity(i), dt) - alpha * laplacian(dt),
                 Some(Condition { warmth: Warmth::Given(given), .. }) => t - given,
                 Some(condition @ Condition { warmth: Warmth::Flux(flux), .. }) => {
-                    alpha * condition.across(dt, self.smoothing(i)) + flux
+                    alpha * self.warmth_across(condition, i, dt) + flux + self.exchanged(i - self.inside, t)
                 }
             }
         };
@@ -221,9 +246,14 @@ impl Equations {
                 }
                 Some(condition) => {
                     let of_boundary = &mut bar.boundary[i - self.inside];
-                    condition.across_back(alpha * heat[i], self.smoothing(i), to);
-                    (0..3).for_each(|e| of_boundary.normal[e] += alpha * d.0[TEMPERATURE][i][e] * heat[i]);
+                    let (flux_bar, across) = (alpha * heat[i], self.fits.across());
+                    for e in 0..3 {
+                        to[across[e]] += flux_bar * condition.normal[e];
+                        of_boundary.normal[e] += flux_bar * d.0[TEMPERATURE][i][across[e]];
+                    }
+                    to[LEFT] += flux_bar * self.smoothing(i);
                     of_boundary.temperature += heat[i];
+                    bar.fields[TEMPERATURE][i] -= self.exchange(i).coefficient * heat[i];
                 }
             }
         }

@@ -26,7 +26,7 @@
 //! the transpose has one. Vectors are `[N, 4]`, and behind them the numbers of the whole flow: lambda and a drive, as a border of the matrix.
 
 use super::super::equations::Warmth;
-use super::super::fit::{Coefficients, Stencils, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
+use super::super::fit::{Coefficients, COEFFICIENTS_3D as C, LEFT_3D as LEFT};
 use super::super::fits::Fits;
 use super::super::steady::dense;
 use super::equations::{dot, laplacian, Condition, Derivatives, End, Equations, Motion, State, FLOW, PRESSURE};
@@ -81,7 +81,7 @@ impl Pairs<'_> {
     /// The number of a particle's pairs.
     fn count(&self, i: usize) -> usize {
         match self {
-            Self::Made { fits, .. } => fits.all.count(i),
+            Self::Made { fits, .. } => fits.of_flow(i),
             Self::Kept { first, .. } => first[i + 1] - first[i],
         }
     }
@@ -267,7 +267,7 @@ impl<'a> Linear<'a> {
         let n = self.particles();
         let mut y = vec![0.0; FLOW * n];
         if let Pairs::Made { fits, operators, shares } = &self.pairs {
-            let product = Product { linear: self, stencils: &fits.all, operators, shares, x };
+            let product = Product { linear: self, fits, operators, shares, x };
             run_parts(&product, y.chunks_mut(FLOW * WIDEST));
             return y;
         }
@@ -380,7 +380,7 @@ impl<'a> Linear<'a> {
 /// y = A x of the particles of a block, see [`Pairs::Made`].
 struct Product<'a> {
     linear: &'a Linear<'a>,
-    stencils: &'a Stencils<3>,
+    fits: &'a Fits<3>,
     operators: &'a Coefficients<C>,
     shares: &'a [Shares],
     /// `[N, 4]`.
@@ -396,12 +396,13 @@ impl<'a> PartKernel<f64> for Product<'a> {
         let particles = part.len() / FLOW;
         for l in (0..particles).step_by(L::COUNT) {
             let here = L::COUNT.min(particles - l);
-            let share: [L; 6] = array(|a| self.stencils.lanes(block, l, |i| self.shares[i][a]));
+            let stencils = &self.fits.all;
+            let share: [L; 6] = array(|a| stencils.lanes(block, l, |i| self.shares[i][a]));
             // Momentum by what is carried and by the slopes of the pressure, and continuity.
             let (mut carried, mut pushed, mut flow) = ([L::zero(); 3], [L::zero(); 3], L::zero());
-            for k in 0..self.stencils.count(block * WIDEST) {
+            for k in 0..self.fits.of_flow(block * WIDEST) {
                 // SAFETY: the list names particles, each with four numbers of x.
-                let x = unsafe { L::gather4(self.x.as_ptr(), FLOW, self.stencils.neighbours_from((block, l, k))) };
+                let x = unsafe { L::gather4(self.x.as_ptr(), FLOW, stencils.neighbours_from((block, l, k))) };
                 let [own, gx, gy, gz, s] = numbers(&share, self.operators.sums_from::<L, 3, 5>((block, l, k)));
                 for (e, slope) in [gx, gy, gz].into_iter().enumerate() {
                     carried[e] = own.mul_add(x[e], carried[e]);
@@ -690,11 +691,12 @@ pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficient
             matrix.values[diagonal] = 1.0;
             continue;
         }
+        matrix.values[diagonal] -= equations.exchange(i).coefficient;
         for k in 0..equations.fits.all.count(i) {
             let c = operators.of(i, k);
             let value = match equations.condition(i) {
                 None => dot(state.velocity(i), &c) - alpha * laplacian(&c),
-                Some(condition) => alpha * condition.across(&c, equations.smoothing(i)),
+                Some(condition) => alpha * equations.warmth_across(condition, i, &c),
             };
             let entry = matrix.entry(i, equations.fits.all.neighbour(i, k) as u32);
             matrix.values[entry] += value;

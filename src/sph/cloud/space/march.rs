@@ -73,7 +73,7 @@ impl<'a> March<'a> {
     ) -> Self {
         let n = equations.particles();
         let (damping, extra) = (equations.damping.clone(), [!equations.gives_pressure(), held.is_some()]);
-        let order = (n <= FACTORISED).then(|| Arc::new(Order::new(&equations.fits.all.matrix(FLOW), |i| places[i])));
+        let order = (n <= FACTORISED).then(|| Arc::new(Order::new(&equations.fits.flow_matrix(FLOW), |i| places[i])));
         let solver = Solver { order, ..Solver::new(equations, threads) };
         let border = solver.border(&State::at_rest(n), &Derivatives::zeros(n), operators, held);
         Self { solver, operators, kept: vec![], border, extra, damping, factorisations: 0 }

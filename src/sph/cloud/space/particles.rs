@@ -185,6 +185,7 @@ impl Cloud {
             damping: self.places.spacing.iter().map(|h| damping(nu, velocity, *h)).collect(),
             spacing: self.places.spacing.clone(),
             inside: self.places.inside,
+            exchange: vec![],
             conditions: shaped.conditions.clone(),
             ends: vec![],
             smoothing: self.smoothing(shaped).to_vec(),
