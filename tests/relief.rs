@@ -4,7 +4,8 @@ use hydrograd::config::scene::Config;
 use hydrograd::design::Problem;
 use hydrograd::numerics::random::{stream, uniform};
 use hydrograd::scene::Scene;
-use hydrograd::sph::relief::lattice::row_weights;
+use hydrograd::sph::relief::lattice::{row, row_weights};
+use hydrograd::sph::relief::{Channel, OverRelief};
 
 fn problem(sets: &[&str]) -> (Config, Problem<f64>) {
     let own = ["method.name=fixed", "design.shape=flat"];
@@ -52,6 +53,50 @@ fn a_flat_wall_has_the_flow_of_the_plane() {
     println!("Q {run} at 1/30, {fine} in two dimensions at 0.02");
     // 1.6 % at 1/30, and 0.6 % at 0.02 (src/design/README.md).
     assert!((run / fine - 1.0).abs() < 0.018, "{run}, in two dimensions {fine}");
+}
+
+/// Conduction alone, between an adiabatic and a hot part of the lower wall: where the edge between both seems to be. Far from it, in the
+/// adiabatic part, T rises along a line, which would be 1 at (2 ln 2 / pi) H behind the edge. (With arcosh(exp(-pi z / 2 H)), whose real part is 0 on the hot part and has no
+/// slope across the other and across the upper wall.)
+#[test]
+fn an_edge_acts_where_it_is_in_conduction() {
+    const ROWS: usize = 8;
+    const EDGE: f64 = 38.0;
+    let h = 1.0 / ROWS as f64;
+    for place in [0.0, 0.2, 0.4, 0.6, 0.8] {
+        let edge = h * (EDGE + place);
+        let channel = Channel {
+            cells: [80, ROWS, 5],
+            spacing: h,
+            first_x: 0.0,
+            density: 1.0,
+            viscosity: 1.0,
+            diffusivity: 1.0,
+            force: 0.0,
+            held: None,
+            velocity: 1.0,
+            hot: [edge, 1e3],
+            hot_excess: 1.0,
+            inlet_below: 3.0 * h,
+            outlet_above: 76.0 * h,
+            threads: 1,
+        };
+        let lattice = OverRelief::new(channel);
+        let n = lattice.particles();
+        let mut state = vec![0.0; row::COUNT * n];
+        for i in 0..n {
+            (0..3).for_each(|d| state[d * n + i] = lattice.channel.place(i)[d]);
+        }
+        state[(row::U + 1) * n + lattice.channel.inside()..(row::U + 2) * n].fill(1.0);
+        lattice.settle(&mut state).unwrap();
+        // On the middle row.
+        let columns = lattice.channel.columns();
+        let t = |column: usize| state[row::T * n + (ROWS / 2 - 1) * columns + column];
+        let (slope, at) = ((t(12) - t(8)) / (4.0 * h), 8.0 * h);
+        let acts = at + (1.0 - t(8)) / slope - 2.0 * 2f64.ln() / std::f64::consts::PI;
+        println!("{place}: {:.4}", acts / h - EDGE);
+        assert!((acts / h - EDGE - place).abs() < 0.03, "{place}: {}", acts / h - EDGE);
+    }
 }
 
 /// A longer hot section lets more heat out, in proportion to its length, whether its end is on a column or between two.

@@ -5,7 +5,7 @@
 //! them.
 
 use super::fit::{fit, monomials_of, offset, Coefficients, Fit, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
-use super::fits::{divided, Origin};
+use super::fits::{by_fit, Origin};
 use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{dot, monomials, packed, pull_back, solve, to_third};
@@ -66,7 +66,7 @@ impl<const C: usize> PairCotangents<C> {
                 let origins = origins(block * WIDEST + lane);
                 for k in 0..all.first[block + 1] - from {
                     let own = &mut self.value[(from + k) * C * WIDEST + lane..];
-                    let [of_small, of_all] = divided(&origins, &std::array::from_fn(|c| own[c * WIDEST]));
+                    let [of_small, of_all] = by_fit(&origins, &std::array::from_fn(|c| own[c * WIDEST]));
                     (0..C).for_each(|c| own[c * WIDEST] = of_all[c]);
                     if k < small.first[block + 1] - to {
                         let other = &mut found.value[(to + k) * C * WIDEST + lane..];

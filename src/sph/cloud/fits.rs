@@ -98,7 +98,7 @@ impl<const D: usize> Fits<D> {
         let [of_small, of_all] = &mut found;
         for (f, field) in bar.iter().enumerate() {
             for (i, bar) in field.iter().enumerate().filter(|(i, _)| small.count(*i) > 0) {
-                [of_small[f][i], of_all[f][i]] = divided(&self.origins(i), bar);
+                [of_small[f][i], of_all[f][i]] = by_fit(&self.origins(i), bar);
             }
         }
         found
@@ -106,7 +106,7 @@ impl<const D: usize> Fits<D> {
 }
 
 /// The cotangents of a particle's derivatives by the smaller fit and by the other one, given those of its places.
-pub(super) fn divided<const C: usize>(origins: &[Origin; C], bar: &[f64; C]) -> [[f64; C]; 2] {
+pub(super) fn by_fit<const C: usize>(origins: &[Origin; C], bar: &[f64; C]) -> [[f64; C]; 2] {
     let mut found = [[0.0; C]; 2];
     for (origin, bar) in origins.iter().zip(bar) {
         match *origin {

@@ -35,7 +35,7 @@ const ACROSS_WALL: f64 = 13.0;
 /// before it, and if it is as hot as those behind it. In between it is linear in how hot the column is, but for 0.004 spacings.
 ///
 /// It follows from Laplace's equation in a half disc alone, as on the [lattice of the plane](crate::sph::fixed::channel::EDGE): the values
-/// r^(1/2) sin(theta/2) around it, given on the arc, hold inside too.
+/// r^(1/2) sin(theta/2) around it, given on the arc, hold inside too. (The test `an_edge_acts_where_it_is_in_conduction` measures it in a channel.)
 const EDGE: [f64; 2] = [0.7434, -0.2565];
 
 /// Up to so many particles the matrix of the flow is factorised; of more GMRES is faster.

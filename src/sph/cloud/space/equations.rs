@@ -32,7 +32,8 @@ pub enum End {
     Outlet(u32),
 }
 
-/// Heat that a point of the boundary with a given flux gets besides: coefficient (T_0 - T), `temperature` T_0.
+/// Heat that a point of the boundary with a given flux gives to the fluid besides: coefficient (T_0 - T), `temperature` T_0, in length / time
+/// and as the fluid's.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange {
     pub coefficient: f64,
