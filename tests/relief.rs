@@ -41,8 +41,7 @@ fn a_flat_wall_has_the_flow_of_the_plane() {
     let rate = of_rate.evaluate(&of_rate.first).unwrap() * of_rate.figure.factor;
     let known = config.plane_flow_rate();
     println!("flow rate {rate}, known {known}");
-    // Kernels that end beyond the walls measure it; what is held is exact.
-    assert!((rate / known - 1.0).abs() < 3e-3, "{rate}, known {known}");
+    assert!((rate / known - 1.0).abs() < 1e-9, "{rate}, known {known}");
     let sets: Vec<String> =
         ["method.name=fixed", "resolution.dx=0.02", "fluid.drive=pumping-power", "design.shape=flat"]
             .map(String::from)

@@ -420,13 +420,15 @@ fn section_sum(config: &Config, outlet: &Outlet) -> f64 {
     let (dx, kernel) = (config.resolution.dx, outlet.interpolation.kernel);
     let first = if config.dimension() == 3 { over_relief::first_x(config) } else { first_column(config) };
     let x = |column: usize| first + column as f64 * dx;
-    // Rows and targets are dx apart, so every row counts the same.
+    // Rows and targets are dx apart, so every row counts the same. Over a relief rows are half a spacing beside targets.
+    let beside = if config.is_over_relief() { 0.5 } else { 0.0 };
     let rows = (kernel.cutoff() / dx).ceil() as i64;
     let layers = if config.dimension() == 3 { rows } else { 0 };
     let mut sum = 0.0;
     for column in 0..config.columns() {
         for (row, layer) in (-rows..=rows).flat_map(|row| (-layers..=layers).map(move |layer| (row, layer))) {
-            let square = (x(column) - outlet.place()).powi(2) + ((row * row + layer * layer) as f64) * dx * dx;
+            let [row, layer] = [row as f64 + beside, layer as f64].map(|cells| cells * dx);
+            let square = (x(column) - outlet.place()).powi(2) + row.powi(2) + layer.powi(2);
             if square < kernel.cutoff().powi(2) {
                 sum += kernel.pair::<f64>(square).0 * dx.powi(config.dimension() as i32);
             }
