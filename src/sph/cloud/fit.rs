@@ -20,7 +20,6 @@
 //!
 //! Tables of pairs are `[blocks, K, WIDEST]` (K of each block), those of particles `[blocks, fields, WIDEST]`: a block is WIDEST particles.
 
-use super::fits::Origin;
 use super::nearest::Region;
 use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sparse_lu::BlockMatrix;
@@ -287,6 +286,25 @@ macro_rules! in_dimension {
 
 in_dimension!(2, COEFFICIENTS);
 in_dimension!(3, COEFFICIENTS_3D);
+
+/// Which derivative is in a place, where a particle has two fits: one of the smaller fit, or one of the one with all neighbours.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Origin {
+    Small(usize),
+    All(usize),
+}
+
+/// The cotangents of a particle's derivatives by the smaller fit and by the other one, given those of its places.
+pub(super) fn by_fit<const C: usize>(origins: &[Origin; C], bar: &[f64; C]) -> [[f64; C]; 2] {
+    let mut found = [[0.0; C]; 2];
+    for (origin, bar) in origins.iter().zip(bar) {
+        match *origin {
+            Origin::Small(c) => found[0][c] = *bar,
+            Origin::All(c) => found[1][c] = *bar,
+        }
+    }
+    found
+}
 
 /// The coefficients of all pairs.
 #[derive(Debug, Clone, Default)]

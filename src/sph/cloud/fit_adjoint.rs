@@ -4,8 +4,9 @@
 //! over fields; and over times where particles stay while the flow goes on, so that positions are looked at once, after all of
 //! them.
 
-use super::fit::{fit, monomials_of, offset, Coefficients, Fit, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
-use super::fits::{by_fit, Origin};
+use super::fit::{
+    by_fit, fit, monomials_of, offset, Coefficients, Fit, Origin, Stencils, COEFFICIENTS, COEFFICIENTS_3D,
+};
 use crate::numerics::lanes::{array, Lanes, WIDEST};
 use crate::numerics::sweep::{run_parts, PartKernel};
 use crate::sph::consistent::stencil::{dot, monomials, packed, pull_back, solve, to_third};

@@ -5,9 +5,9 @@
 //!
 //! On the walls of a [lattice](crate::sph::relief) both are needed: continuity holds there with the slopes of the smaller fit, and heat passes
 //! through by those of the larger one, because the errors of a fit of second order are large where neighbours are on one side. No
-//! equation has mixed second derivatives (d^2 / dx dy and the like) there, so their places hold the [slopes of the larger fit](ACROSS).
+//! equation has mixed second derivatives (d^2 / dx dy and the like) there, so their places hold the slopes of the larger fit.
 
-use super::fit::{Coefficients, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
+use super::fit::{by_fit, Coefficients, Origin, Stencils, COEFFICIENTS, COEFFICIENTS_3D};
 use super::fit_adjoint::PairCotangents;
 use crate::numerics::sparse_lu::BlockMatrix;
 use crate::sph::consistent::stencil::quadratic;
@@ -73,13 +73,6 @@ impl Fits<3> {
     }
 }
 
-/// Which derivative of which fit is in a place.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Origin {
-    Small(usize),
-    All(usize),
-}
-
 impl<const D: usize> Fits<D> {
     /// Which derivatives of particle i are in the C places, where the smaller fit has neighbours.
     fn origins<const C: usize>(&self, i: usize) -> [Origin; C] {
@@ -103,18 +96,6 @@ impl<const D: usize> Fits<D> {
         }
         found
     }
-}
-
-/// The cotangents of a particle's derivatives by the smaller fit and by the other one, given those of its places.
-pub(super) fn by_fit<const C: usize>(origins: &[Origin; C], bar: &[f64; C]) -> [[f64; C]; 2] {
-    let mut found = [[0.0; C]; 2];
-    for (origin, bar) in origins.iter().zip(bar) {
-        match *origin {
-            Origin::Small(c) => found[0][c] = *bar,
-            Origin::All(c) => found[1][c] = *bar,
-        }
-    }
-    found
 }
 
 /// What fits in a number of dimensions are made of.
