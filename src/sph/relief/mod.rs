@@ -7,8 +7,9 @@
 //! ```
 //!
 //! Columns stay in order for any s < H, so that this map cannot fold, and wall and fluid depend on s at their own column alone. The
-//! equations are those around bodies ([`super::cloud::space`]): fits of second order at the mapped places, incompressible. The flow
-//! is periodic along x and z; heat enters at x = 0 with the inlet's temperature.
+//! equations are those around bodies ([`super::cloud::space`]): fits of second order at the mapped places, incompressible. What heat
+//! passes through the walls is by fits of third order, and points of the wall beside an end of the hot section are hot in part, so that
+//! the end acts where it is ([`lattice`]). The flow is periodic along x and z; heat enters at x = 0 with the inlet's temperature.
 //!
 //! A step goes from any state to the steady one, whatever its length in time: a run is one step, and its adjoint one transposed
 //! system. So all that runs, optimises and checks channels does so with these particles too.
