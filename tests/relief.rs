@@ -55,8 +55,8 @@ fn a_flat_wall_has_the_flow_of_the_plane() {
 }
 
 /// Conduction alone, between an adiabatic and a hot part of the lower wall: where the edge between both seems to be. Far from it, in the
-/// adiabatic part, T rises along a line, which would be 1 at (2 ln 2 / pi) H behind the edge. (With arcosh(exp(-pi z / 2 H)), whose real part is 0 on the hot part and has no
-/// slope across the other and across the upper wall.)
+/// adiabatic part, T rises along a line, which would be 1 at (2 ln 2 / pi) H behind the edge. (With arcosh(exp(-pi z / 2 H)), whose real part
+/// is 0 on the hot part and has no slope across the other and across the upper wall.)
 #[test]
 fn an_edge_acts_where_it_is_in_conduction() {
     const ROWS: usize = 8;

@@ -65,12 +65,22 @@ impl<const D: usize> Condition<D> {
     /// n . grad f + h S f of the derivatives of a field, or of the coefficients of a pair: 0 where a velocity has no slope across a side, and
     /// what a heat flux is of T. `smoothing`: h.
     pub fn across<const C: usize>(&self, d: &[f64; C], smoothing: f64) -> f64 {
-        (0..D).map(|e| self.normal[e] * d[e]).sum::<f64>() + smoothing * d[C - 1]
+        self.across_by(std::array::from_fn(|e| e), d, smoothing)
     }
 
-    /// Adds what it makes of derivatives, given its cotangent.
+    /// The same, given the `places` of the slopes among the derivatives.
+    pub fn across_by<const C: usize>(&self, places: [usize; D], d: &[f64; C], smoothing: f64) -> f64 {
+        (0..D).map(|e| self.normal[e] * d[places[e]]).sum::<f64>() + smoothing * d[C - 1]
+    }
+
+    /// Adds what [`Self::across`] makes of derivatives, given its cotangent.
     pub fn across_back<const C: usize>(&self, bar: f64, smoothing: f64, to: &mut [f64; C]) {
-        (0..D).for_each(|e| to[e] += bar * self.normal[e]);
+        self.across_by_back(std::array::from_fn(|e| e), bar, smoothing, to);
+    }
+
+    /// The same of [`Self::across_by`].
+    pub fn across_by_back<const C: usize>(&self, places: [usize; D], bar: f64, smoothing: f64, to: &mut [f64; C]) {
+        (0..D).for_each(|e| to[places[e]] += bar * self.normal[e]);
         to[C - 1] += bar * smoothing;
     }
 }

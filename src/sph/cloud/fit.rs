@@ -92,7 +92,12 @@ pub fn field(fields: usize, i: usize, k: usize) -> usize {
 impl<const D: usize> Stencils<D> {
     /// A matrix of zeros for equations of `size` fields at the particles, in which those of each contain its neighbours.
     pub fn matrix(&self, size: usize) -> BlockMatrix {
-        let neighbours = |i: usize| (0..self.count(i)).map(|k| self.neighbour(i, k) as u32).collect();
+        self.matrix_of(size, |i| self.count(i))
+    }
+
+    /// The same with the nearest `count` neighbours of each.
+    pub(super) fn matrix_of(&self, size: usize, count: impl Fn(usize) -> usize) -> BlockMatrix {
+        let neighbours = |i: usize| (0..count(i)).map(|k| self.neighbour(i, k) as u32).collect();
         BlockMatrix::of_lists(self.particles, size, neighbours)
     }
 

@@ -37,10 +37,14 @@ impl<const D: usize> Fits<D> {
         Self { small: None, all, walls: None }
     }
 
-    /// The scale h of the fit that has the slopes and S of a particle.
+    /// The fit that has the slopes and S of a particle.
+    fn of_slopes(&self, i: usize) -> &Stencils<D> {
+        self.small.as_ref().filter(|small| small.count(i) > 0).unwrap_or(&self.all)
+    }
+
+    /// The scale h of that fit.
     pub fn scale(&self, i: usize) -> f64 {
-        let of_small = self.small.as_ref().filter(|small| small.count(i) > 0);
-        of_small.unwrap_or(&self.all).scale(i)
+        self.of_slopes(i).scale(i)
     }
 }
 
@@ -53,14 +57,12 @@ impl Fits<3> {
 
     /// How many neighbours of a particle the equations of the flow have: those of the smaller fit on walls that have the slopes of both.
     pub fn of_flow(&self, i: usize) -> usize {
-        let on_walls = self.small.as_ref().filter(|small| self.walls.is_some() && small.count(i) > 0);
-        on_walls.unwrap_or(&self.all).count(i)
+        if self.walls.is_some() { self.of_slopes(i) } else { &self.all }.count(i)
     }
 
     /// The matrix of the equations of a flow with `size` fields, of zeros.
     pub fn flow_matrix(&self, size: usize) -> BlockMatrix {
-        let neighbours = |i: usize| (0..self.of_flow(i)).map(|k| self.all.neighbour(i, k) as u32).collect();
-        BlockMatrix::of_lists(self.all.particles, size, neighbours)
+        self.all.matrix_of(size, |i| self.of_flow(i))
     }
 
     /// Where the slopes by which heat passes through the boundary are among the derivatives of its points.

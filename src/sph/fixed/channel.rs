@@ -77,11 +77,15 @@ impl Channel {
         self.between_edges(|place| (0.5 - place).clamp(0.0, 1.0)).map(|hot| 1.0 - hot).collect()
     }
 
-    /// The part of each column's cell between both edges, given the part on the hot side of an edge that is so many spacings from
-    /// the middle of the cell towards that side.
+    /// [`between_edges`] of each column's cell.
     fn between_edges<'a>(&'a self, part: impl Fn(f64) -> f64 + 'a) -> impl Iterator<Item = f64> + 'a {
-        let part = move |distance: f64| part(distance / self.spacing);
-        let between = move |x: f64| part(self.hot[0] - x) + part(x - self.hot[1]) - 1.0;
-        (0..self.columns).map(move |i| between(self.x(i)).max(0.0))
+        (0..self.columns).map(move |i| between_edges(self.hot, self.spacing, self.x(i), &part))
     }
+}
+
+/// The part of the cell around x between both edges of the hot section, given the part on the hot side of an edge that is so many spacings
+/// from the middle of the cell towards that side.
+pub fn between_edges(hot: [f64; 2], spacing: f64, x: f64, part: impl Fn(f64) -> f64) -> f64 {
+    let part = |distance: f64| part(distance / spacing);
+    (part(hot[0] - x) + part(x - hot[1]) - 1.0).max(0.0)
 }

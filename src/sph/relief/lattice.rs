@@ -11,6 +11,7 @@ use crate::sph::cloud::space::equations::{
 };
 use crate::sph::cloud::space::steady::{FlowRate, Solver};
 use crate::sph::cloud::steady::{Held, NoSteadyState};
+use crate::sph::fixed::channel::between_edges;
 use std::sync::Arc;
 
 /// Rows of a state `[8, N]`. Points of the lower wall, which is at rest, have their unit normal in the rows of the velocity.
@@ -220,18 +221,17 @@ impl OverRelief {
         let (n, inside) = (channel.particles(), channel.inside());
         let Flow { position, operators, solver, state: flow, .. } = self.flow(state);
         let of = |k: usize| {
-            let (i, Condition { warmth, normal, .. }) = (inside + k, solver.equations.conditions[k]);
+            let (i, condition) = (inside + k, &solver.equations.conditions[k]);
             if position[0][i] >= until {
                 return 0.0;
             }
-            let area = channel.spacing * channel.spacing / normal[1];
+            let area = channel.spacing * channel.spacing / condition.normal[1];
             let temperature = &flow.fields[TEMPERATURE];
-            if let Warmth::Flux(_) = warmth {
-                return solver.equations.exchanged(k, temperature[i]) * area;
+            if let Warmth::Flux(_) = condition.warmth {
+                return solver.equations.exchanged(i, temperature[i]) * area;
             }
             let slopes = operators.derivatives(&self.fits.all, i, temperature);
-            let along: f64 = (0..3).map(|d| normal[d] * slopes[self.fits.across()[d]]).sum();
-            -channel.diffusivity * along * area
+            -channel.diffusivity * condition.across_by(self.fits.across(), &slopes, 0.0) * area
         };
         channel.density * (0..n - inside).map(of).sum::<f64>()
     }
@@ -291,8 +291,7 @@ impl Channel {
     pub fn hot_share(&self, point: usize) -> f64 {
         let x = self.place(self.inside() + point)[0];
         let [cold, hot] = EDGE;
-        let of = |distance: f64| ((cold - distance / self.spacing) / (cold - hot)).clamp(0.0, 1.0);
-        (of(self.hot[0] - x) + of(x - self.hot[1]) - 1.0).max(0.0)
+        between_edges(self.hot, self.spacing, x, |place| ((cold - place) / (cold - hot)).clamp(0.0, 1.0))
     }
 
     /// The exchange of heat at a point of the walls, for one that is hot in part: the share of a hot wall's equation, over a spacing, beside that of

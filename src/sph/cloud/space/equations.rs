@@ -103,19 +103,13 @@ impl Equations {
         i.checked_sub(self.inside).map(|k| &self.conditions[k])
     }
 
-    /// [`Condition::across`] of the temperature at particle i of the boundary, or of the coefficients of a pair.
-    pub(super) fn warmth_across(&self, condition: &Condition, i: usize, d: &[f64; C]) -> f64 {
-        let slopes = self.fits.across().map(|c| d[c]);
-        (0..3).map(|e| condition.normal[e] * slopes[e]).sum::<f64>() + self.smoothing(i) * d[LEFT]
-    }
-
     pub(super) fn exchange(&self, i: usize) -> Exchange {
         i.checked_sub(self.inside).and_then(|k| self.exchange.get(k)).copied().unwrap_or_default()
     }
 
-    /// The heat that a point of the boundary exchanges at temperature `t`, over density and heat capacity: temperature * volume / (area * time).
-    pub fn exchanged(&self, point: usize, t: f64) -> f64 {
-        let Exchange { coefficient, temperature } = self.exchange(self.inside + point);
+    /// The heat that particle i of the boundary exchanges at temperature `t`, over density and heat capacity: temperature * volume / (area * time).
+    pub fn exchanged(&self, i: usize, t: f64) -> f64 {
+        let Exchange { coefficient, temperature } = self.exchange(i);
         coefficient * (temperature - t)
     }
 
@@ -192,7 +186,8 @@ impl Equations {
                 None => dot(state.velocity(i), dt) - alpha * laplacian(dt),
                 Some(Condition { warmth: Warmth::Given(given), .. }) => t - given,
                 Some(condition @ Condition { warmth: Warmth::Flux(flux), .. }) => {
-                    alpha * self.warmth_across(condition, i, dt) + flux + self.exchanged(i - self.inside, t)
+                    let slope = condition.across_by(self.fits.across(), dt, self.smoothing(i));
+                    alpha * slope + flux + self.exchanged(i, t)
                 }
             }
         };
@@ -248,11 +243,8 @@ impl Equations {
                 Some(condition) => {
                     let of_boundary = &mut bar.boundary[i - self.inside];
                     let (flux_bar, across) = (alpha * heat[i], self.fits.across());
-                    for e in 0..3 {
-                        to[across[e]] += flux_bar * condition.normal[e];
-                        of_boundary.normal[e] += flux_bar * d.0[TEMPERATURE][i][across[e]];
-                    }
-                    to[LEFT] += flux_bar * self.smoothing(i);
+                    condition.across_by_back(across, flux_bar, self.smoothing(i), to);
+                    (0..3).for_each(|e| of_boundary.normal[e] += flux_bar * d.0[TEMPERATURE][i][across[e]]);
                     of_boundary.temperature += heat[i];
                     bar.fields[TEMPERATURE][i] -= self.exchange(i).coefficient * heat[i];
                 }

@@ -393,10 +393,9 @@ impl<'a> PartKernel<f64> for Product<'a> {
 
     #[inline(always)]
     fn part<L: Lanes<Real = f64>>(&self, block: usize, part: &mut Self::Part) {
-        let particles = part.len() / FLOW;
+        let (particles, stencils) = (part.len() / FLOW, &self.fits.all);
         for l in (0..particles).step_by(L::COUNT) {
             let here = L::COUNT.min(particles - l);
-            let stencils = &self.fits.all;
             let share: [L; 6] = array(|a| stencils.lanes(block, l, |i| self.shares[i][a]));
             // Momentum by what is carried and by the slopes of the pressure, and continuity.
             let (mut carried, mut pushed, mut flow) = ([L::zero(); 3], [L::zero(); 3], L::zero());
@@ -696,7 +695,7 @@ pub fn heat_matrix(equations: &Equations, state: &State, operators: &Coefficient
             let c = operators.of(i, k);
             let value = match equations.condition(i) {
                 None => dot(state.velocity(i), &c) - alpha * laplacian(&c),
-                Some(condition) => alpha * equations.warmth_across(condition, i, &c),
+                Some(condition) => alpha * condition.across_by(equations.fits.across(), &c, equations.smoothing(i)),
             };
             let entry = matrix.entry(i, equations.fits.all.neighbour(i, k) as u32);
             matrix.values[entry] += value;
