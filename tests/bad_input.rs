@@ -139,6 +139,8 @@ fn elements_of_what_is_given() {
     refuses("shapes[0].radius[1]=1", &["shapes[0].radius is 0.1, without such a part"]);
     refuses("shapes[x].radius=1", &["`shapes[x].radius`: shapes is [", "without such a part"]);
     refuses("shaeps[0].radius=1", &["unknown field `shaeps`", "try: `shapes`"]);
+    refuses("region.sides.top.knid=wall", &["unknown field `knid`", "try: `kind`"]);
+    refuses("region.sides.top.kind=lid", &["unknown variant `lid`", "allowed: wall"]);
     refuses("region.size[1]=0.51", &["does not divide region.size[1] = 0.51", "--set region.size[1]=0.5"]);
 }
 

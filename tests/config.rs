@@ -2,6 +2,7 @@
 
 use hydrograd::config::builtin::SCENES;
 use hydrograd::config::checks::channel::nearest_spacings;
+use hydrograd::config::custom::{Side, SideKind};
 use hydrograd::config::device::{Compute, DeviceName};
 use hydrograd::config::difference::{difference, differences, Difference};
 use hydrograd::config::formula::Formula;
@@ -49,6 +50,25 @@ fn elements_of_arrays_and_shapes_are_set() {
     let again = Config::load(Some("custom"), None, &[&sets[..], &[shapes.to_string()]].concat()).unwrap();
     assert_eq!((again.config.shapes[0].radius, again.place("shapes[0].radius")), (Some(0.1), None));
     assert_eq!(loaded.with(&[]).unwrap().config, loaded.config);
+}
+
+#[test]
+fn a_part_of_a_side_is_set_and_the_other_sides_stay() {
+    let sets = [
+        "region.periodic=[false,false]",
+        "region.sides={ left = { kind = \"inflow\", velocity = [1, 0] }, right = { kind = \"outflow\" } }",
+        "region.sides.top.kind=symmetry",
+        "region.sides.left.velocity[0]=2",
+        "method.name=fixed",
+    ];
+    let loaded = Config::load(Some("custom"), None, &sets.map(String::from)).unwrap();
+    let sides = &loaded.config.region.sides;
+    let kind = |side: &Option<Side>| side.as_ref().map(|side| side.kind);
+    let kinds = [&sides.left, &sides.right, &sides.bottom, &sides.top].map(kind);
+    assert_eq!(kinds, [Some(SideKind::Inflow), Some(SideKind::Outflow), None, Some(SideKind::Symmetry)]);
+    let velocity = sides.left.as_ref().and_then(|side| side.velocity.clone()).unwrap();
+    assert_eq!(velocity.iter().map(|formula| formula.0.as_str()).collect::<Vec<_>>(), ["2", "0"]);
+    assert_eq!(loaded.place("region.sides.top.kind"), Some("region.sides.top.kind=symmetry"));
 }
 
 #[test]

@@ -362,7 +362,15 @@ fn a_scene_has_its_file_beside_it() {
         let error = scene(size, periodic, method, more).map(|_| ()).unwrap_err();
         assert!(error.contains(problem), "{problem}: {error}");
     }
-    let loaded = scene(BOX.0, BOX.1, "fixed", "centre = [5.0, 3.5, 2.0]\n").unwrap();
-    let error = AroundBodies::new(&loaded.config).err().unwrap().to_string();
-    assert!(error.contains("shapes[0] cuts"), "{error}");
+    // In the wall, or in other units: the surface of the last would have 10^10 points.
+    for more in ["centre = [5.0, 3.5, 2.0]\n", "scale = 20.0\n", "scale = 1e5\n"] {
+        for periodic in [BOX.1, "[true, true, true]"] {
+            if periodic != BOX.1 && more.starts_with("centre") {
+                continue;
+            }
+            let loaded = scene(BOX.0, periodic, "fixed", more).unwrap();
+            let error = AroundBodies::new(&loaded.config).err().unwrap().to_string();
+            assert!(error.contains("shapes[0] cuts") && error.contains("shapes[0].scale=0.001"), "{more}: {error}");
+        }
+    }
 }

@@ -355,6 +355,8 @@ pub const TOLERANCE: f64 = 1e-6;
 /// Steps of differences: in spacings of the surface, and in degrees.
 const STEP: f64 = 0.04;
 const DEGREES: f64 = 0.05;
+/// How often a step is halved, at most. (Below, rounding and what iterations leave would be seen.)
+const HALVINGS: i32 = 5;
 /// In radians, at the end of a flow in time.
 const PHASE: f64 = 0.02;
 
@@ -400,7 +402,6 @@ impl Checked {
                 (Some(_), Part::Parameter(_)) => (0.25 * step).min(PHASE / config.time.end),
                 (Some(_), _) => 0.25 * step,
             };
-            // Richardson's extrapolation of two central differences.
             let mut central = |step: f64| -> Result<f64, Error> {
                 let mut at = |x: f64| {
                     let mut moved = first.to_vec();
@@ -409,12 +410,30 @@ impl Checked {
                 };
                 Ok((at(step)? - at(-step)?) / (2.0 * step))
             };
-            let (wide, narrow) = (central(step)?, central(0.5 * step)?);
+            // Richardson's extrapolation of two central differences. Its error is about the square of what it adds, in parts of the gradient:
+            // where that is too much the objective bends within the step, which is halved.
+            let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+            let (mut wide, mut narrow) = (central(step)?, central(0.5 * step)?);
+            for halvings in 2..=HALVINGS {
+                if narrow == wide || ((narrow - wide) / (3.0 * norm)).powi(2) < 0.1 * tolerance {
+                    break;
+                }
+                (wide, narrow) = (narrow, central(step * 0.5f64.powi(halvings))?);
+            }
             differences.push((4.0 * narrow - wide) / 3.0);
             bar.done(1);
         }
         bar.finish();
         let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        if norm == 0.0 && differences.iter().all(|&x| x == 0.0) {
+            let problem =
+                format!("the objective ({}, {found:.9}) depends on none of the variables", of_objective(config));
+            return Err(Error::run(
+                problem,
+                "another objective.kind, or something that moves the fluid past the shapes",
+            )
+            .into());
+        }
         let errors: Vec<f64> = gradient.iter().zip(&differences).map(|(g, d)| (g - d).abs() / norm).collect();
         let worst = errors.iter().copied().fold(0.0, f64::max);
         let passed = worst <= tolerance;

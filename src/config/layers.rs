@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use toml_edit::{Array, Document, DocumentMut, Item, Table, Value};
+use toml_edit::{Array, Document, DocumentMut, InlineTable, Item, Table, Value};
 
 use crate::config::before;
 use crate::config::method::Method;
@@ -253,24 +253,30 @@ impl Merged {
         self.fit_method();
     }
 
-    /// Reads an assignment to a key, or to an element of the value that a key has: `shapes[0].radius=0.1`.
+    /// Reads an assignment to a key, or to an element of the value that a key has: `shapes[0].radius=0.1`, `region.sides.top.kind=wall`.
     pub fn layer<S: Schema>(&self, setting: &Setting) -> Result<Layer, BadInput> {
         let (path, text) = setting.assignment.split_once('=').unwrap_or_default();
         let path = path.trim();
-        let Some((key, rest)) = path.find('[').map(|at| path.split_at(at)) else {
+        let ends = [path.find('['), path.match_indices('.').nth(1).map(|(at, _)| at)];
+        let Some((key, rest)) = ends.into_iter().flatten().min().map(|at| path.split_at(at)) else {
             return Layer::from_setting::<S>(setting);
         };
         let bad = |problem: String| BadInput::new(problem).place(&setting.label);
+        let nothing = |rest: &str| match rest.starts_with('[') {
+            true => Value::from(Array::new()),
+            false => InlineTable::new().into(),
+        };
         // An unknown key has its own error.
-        Layer::from_setting::<S>(&Setting { label: setting.label.clone(), assignment: format!("{key}=[]") })?;
+        let assignment = format!("{key}={}", nothing(rest));
+        Layer::from_setting::<S>(&Setting { label: setting.label.clone(), assignment })?;
         let (section, name) = key.split_once('.').unwrap_or(("", key));
         let table = if section.is_empty() { Some(self.document.as_item()) } else { self.document.get(section) };
-        let mut whole = table.and_then(|table| table.get(name)).and_then(value_of).unwrap_or(Array::new().into());
+        let mut whole = table.and_then(|table| table.get(name)).and_then(value_of).unwrap_or_else(|| nothing(rest));
         let (mut at, mut shown) = (&mut whole, key.to_string());
         // `[0].centre[1]` has the parts `[0]`, `.centre` and `[1]`.
         let mut begins: Vec<usize> = rest.match_indices(['[', '.']).map(|(begin, _)| begin).collect();
         begins.push(rest.len());
-        for part in begins.windows(2).map(|pair| &rest[pair[0]..pair[1]]) {
+        for (part, end) in begins.windows(2).map(|pair| (&rest[pair[0]..pair[1]], pair[1])) {
             let number = part.strip_prefix('[').and_then(|inside| inside.strip_suffix(']')?.trim().parse().ok());
             at = match (number, part.strip_prefix('.'), at) {
                 (Some(number), _, Value::Array(all)) => {
@@ -278,7 +284,7 @@ impl Merged {
                     let missing = format!("there is no {shown}[{number}]: {shown} has {count} entries");
                     all.get_mut(number).ok_or_else(|| bad(missing).allowed(ELEMENT))?
                 }
-                (_, Some(name), Value::InlineTable(table)) => table.get_or_insert(name, 0),
+                (_, Some(name), Value::InlineTable(table)) => table.get_or_insert(name, nothing(&rest[end..])),
                 (_, _, other) => {
                     let problem = format!("`{path}`: {shown} is {}, without such a part", other.to_string().trim());
                     return Err(bad(problem).allowed(ELEMENT));

@@ -322,10 +322,17 @@ pub trait Around {
     /// # Errors
     /// A flow without whole periods.
     fn objective_of(&self, flow: &Flowed<Self::Solution>, variables: &[f64]) -> Result<f64, Error> {
-        match flow {
-            Flowed::Steady(solution) => Ok(self.objective(solution).0),
-            Flowed::InTime(history) => Ok(history.objective(&self.window(variables, history)?)),
+        let value = match flow {
+            Flowed::Steady(solution) => self.objective(solution).0,
+            Flowed::InTime(history) => history.objective(&self.window(variables, history)?),
+        };
+        if !value.is_finite() {
+            return Err(Error::run(
+                "the objective is not a number: lift over drag where there is no drag?",
+                "objective.kind=drag, or something that moves the fluid past the shapes",
+            ));
         }
+        Ok(value)
     }
 
     /// The objective of a flow with its gradient.

@@ -3,7 +3,7 @@
 use super::custom_shape::OnWall;
 use super::particle_fields::ParticleFields;
 use super::start_field;
-use crate::config::custom::{Part, ShapeEntry, ShapeNumber, Side, SideKind};
+use crate::config::custom::{Kind, Part, ShapeEntry, ShapeNumber, Side, SideKind};
 use crate::config::formula::Function;
 use crate::config::scene::{Config, DriveName, LimitEntry, ObjectiveKind, Term};
 use crate::error::{BadInput, Error};
@@ -468,6 +468,11 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
         .allowed(
             "shapes in the box that are at least a spacing apart; cylinders and extruded shapes reach from side to side along their axis",
         ),
+        Unusable::Placing(Unplaceable::Narrow { shape, width: 0.0 }) => BadInput::at(
+            format!("shapes[{shape}]"),
+            format!("shapes[{shape}] is as long as the period, so that its ends meet"),
+        )
+        .allowed("a shorter shape, or a longer one, which is a wall along the whole period"),
         Unusable::Placing(Unplaceable::Narrow { shape, width }) => BadInput::at(
             format!("shapes[{shape}]"),
             format!("shapes[{shape}] is {width:.2e} from another wall, too near for particles in between"),
@@ -490,6 +495,11 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
             format!("the particle at {} has too few neighbours that no wall hides", shown(place)),
         )
         .allowed("shapes that leave room for a few spacings of fluid"),
+        Unusable::Parts(place) => BadInput::at(
+            "shapes",
+            format!("the shapes cut off the fluid around {}, where nothing gives the pressure", shown(place)),
+        )
+        .allowed("fluid in one piece, or with an outflow in each; inside of hollow shapes other shapes that fill them"),
         Unusable::Folded(place) => BadInput::at(
             "variables",
             format!(
@@ -503,7 +513,16 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
     };
     match why {
         // No spacing helps.
-        Unusable::Placing(Unplaceable::Narrow { width: 0.0, .. }) if D == 3 => bad.into(),
+        Unusable::Placing(Unplaceable::Narrow { width: 0.0, shape }) if D == 3 => {
+            match config.shapes.get(*shape).is_some_and(|entry| entry.kind == Kind::File) {
+                true => bad.advice(format!(
+                    "shapes[{shape}].scale=0.001 if its file is in millimetres and the scene in metres"
+                )),
+                false => bad,
+            }
+            .into()
+        }
+        Unusable::Placing(Unplaceable::Narrow { width: 0.0, .. }) | Unusable::Parts(_) => bad.into(),
         _ => bad.advice(finer(config)).into(),
     }
 }
@@ -533,7 +552,7 @@ pub(super) fn no_solution<const D: usize>(config: &Config, why: &NoSolution<D>) 
 pub(super) fn no_flow(config: &Config, why: &NoSteadyState) -> Error {
     match why {
         NoSteadyState::Singular => {
-            Error::diverged("the linearised flow has no solution: what drives or holds the fluid?".to_string(), finer(config))
+            Error::diverged("the linearised flow or its temperature has no solution: what drives or holds the fluid, and is a temperature given in each part of it?".to_string(), finer(config))
         }
         NoSteadyState::Diverged { residual } => Error::diverged(
             format!("no steady flow was found: Newton's method ends with a residual of {residual:.1e}, also from a flow of 8 times the viscosity"),

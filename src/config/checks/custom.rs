@@ -8,8 +8,13 @@ use crate::config::scene::{Asked, Config, DriveName, Family, Goal, Method, Objec
 use crate::error::BadInput;
 
 /// The figures that fixed particles around shapes have.
-const OF_SHAPES: &str =
-    "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation; pressure, temperature, velocity-x, velocity-y (at a point)";
+/// The objectives of shapes among fixed particles.
+const fn of_shapes(dimension: usize) -> &'static str {
+    match dimension {
+        2 => "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation; pressure, temperature, velocity-x, velocity-y (at a point)",
+        _ => "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop; pressure, temperature, velocity-x, velocity-y, velocity-z (at a point)",
+    }
+}
 
 /// The first of some numbers that belongs to a curve.
 fn numbers_of_curves(shapes: &[ShapeEntry], numbers: &[ShapeNumber]) -> Option<usize> {
@@ -315,7 +320,37 @@ impl Config {
                 .allowed("body-force; flow-rate with method.pressure = incompressible")
                 .advice("fluid.drive=body-force, or method.pressure=incompressible"));
         }
+        self.check_what_moves_and_heats(has_heat)?;
         self.check_objective_of_shapes(has_heat)
+    }
+
+    /// That something determines the flow, and the temperature of a steady one.
+    fn check_what_moves_and_heats(&self, has_heat: bool) -> Result<(), BadInput> {
+        let sides = || self.region.sides.all().into_iter().filter_map(|(_, side)| side);
+        let (begins, is_steady) = (&self.initial, self.unsteady().is_none());
+        let is_pushed = self.region.acceleration.iter().any(|&x| x != 0.0) || self.fluid.drive != DriveName::BodyForce;
+        let has_velocity =
+            sides().any(|side| side.velocity.is_some()) || self.shapes.iter().any(|shape| shape.velocity.is_some());
+        let moves_at_first = !is_steady && (!begins.velocity.is_empty() || begins.file.is_some());
+        if !has_heat && !is_pushed && !has_velocity && !moves_at_first {
+            return Err(BadInput::at("region.acceleration", "nothing moves this fluid, and it carries no heat")
+                .allowed(
+                    "an acceleration, a velocity of a side or of a shape, or fluid.drive = flow-rate or pumping-power",
+                )
+                .advice(format!(
+                    "region.acceleration={}",
+                    if self.dimension() == 2 { "[1.0,0.0]" } else { "[1.0,0.0,0.0]" }
+                )));
+        }
+        let has_temperature = sides().any(|side| side.temperature.is_some())
+            || self.shapes.iter().any(|shape| shape.temperature.is_some());
+        if has_heat && is_steady && !has_temperature {
+            let problem = "initial.temperature: a steady flow with heat, but the temperature is given nowhere, so that any constant could be added to it";
+            return Err(BadInput::at("initial.temperature", problem)
+                .allowed("a temperature of a side (of what enters, or of a wall) or of a shape, beside those with a heat_flux or none")
+                .advice("method.flow=unsteady, which begins with initial.temperature"));
+        }
+        Ok(())
     }
 
     /// What fixed particles do not have in three dimensions.
@@ -339,7 +374,7 @@ impl Config {
             if matches!(kind, Dissipation | Area | Distance) {
                 let shown = serde_json::to_value(kind).unwrap_or_default();
                 return Err(bad(&key, &format!("= {}", shown.as_str().unwrap_or_default()))
-                    .allowed("flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop; pressure, temperature, velocity-x, velocity-y, velocity-z (at a point); limits: volume too"));
+                    .allowed(format!("{}; limits: volume too", of_shapes(3))));
             }
         }
         Ok(())
@@ -390,7 +425,7 @@ impl Config {
                 ObjectiveKind::Volume if self.dimension() == 2 => Err(bad("volume in two dimensions").allowed("area")),
                 ObjectiveKind::OutletTemperature | ObjectiveKind::WallHeat => {
                     Err(bad("this figure belongs to moving particles")
-                        .allowed(OF_SHAPES)
+                        .allowed(of_shapes(self.dimension()))
                         .advice("objective.kind=shape-heat"))
                 }
                 _ => Ok(()),

@@ -313,7 +313,7 @@ impl Outline {
         numbers.extend(&entry.parameters);
         let mut outline = Self { curve, parts, numbers, geometry, clockwise: false };
         if let Curve::Path { corners, cut } = &mut outline.curve {
-            let points = corners.of(&outline.numbers);
+            let points = corners.of(&outline.numbers[..geometry]);
             let n = points.len();
             *cut = (0..n)
                 .map(|k| {
@@ -349,7 +349,7 @@ impl Outline {
     /// Its corners in which it turns by more than 45 degrees: next to them fields have a singularity that the rounding cuts off.
     pub fn corners(&self) -> Vec<[f64; 2]> {
         let Curve::Path { corners, .. } = &self.curve else { return vec![] };
-        let points = corners.of(&self.numbers);
+        let points = corners.of(&self.numbers[..self.geometry]);
         (0..points.len()).filter(|&k| around_corner(&points, k).2 > 0.25 * PI).map(|k| points[k]).collect()
     }
 

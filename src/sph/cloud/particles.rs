@@ -49,6 +49,8 @@ pub enum Unusable<const D: usize = 2> {
     Placing(Unplaceable),
     /// A particle has too few neighbours that it sees.
     Lonely([f64; D]),
+    /// Walls cut the fluid into parts, and nothing gives the pressure of the one around this place.
+    Parts([f64; D]),
     /// The map of a shape turns the cloud inside out here.
     Folded([f64; D]),
     Singular,
@@ -125,41 +127,67 @@ fn crosses(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> bool {
     side(a, b, c) * side(a, b, d) < 0.0 && side(c, d, a) * side(c, d, b) < 0.0
 }
 
-/// Decides whether particles can be neighbours: no body is between them.
+/// Decides whether particles can be neighbours: no shape is between them.
 struct Sight<'a> {
     plane: Plane,
     places: &'a Places,
-    /// The points on bodies, and of each the place in the boundary and the two next to it along its outline.
+    /// The points on shapes, and of each the place in the boundary and the two next to it along its outline; itself at the end of one that
+    /// leaves the fluid.
     points: Nearest,
     boundary: Vec<[usize; 3]>,
-    /// Distance of every particle from the nearest point on a body.
+    /// Distance of every particle from the nearest point on a shape.
     distance: Vec<f64>,
 }
 
-/// Particles farther than this from bodies, in dx, are hidden from nobody.
+/// Particles farther than this from shapes, in dx, are hidden from nobody.
 const HIDES: f64 = 6.0;
-/// Points on bodies around the middle of a segment whose edges it may cross.
+/// Points of an outline that are farther from each other, in their spacing, have a part of it between them that is not in the fluid.
+const NEXT: f64 = 2.0;
+/// Points on shapes around the middle of a segment whose edges it may cross.
 const EDGES: usize = 12;
 
 impl<'a> Sight<'a> {
     fn new(ground: &Ground, places: &'a Places) -> Self {
-        // The points of each body in order along its outline.
+        // The points of each shape in order along its outline.
         let mut lines: Vec<Vec<usize>> = vec![vec![]; ground.outlines.len()];
         for (k, point) in places.boundary.iter().enumerate() {
-            if let Some((shape, _)) = point.on.filter(|on| places.bodies.contains(&on.0)) {
+            if let Some((shape, _)) = point.on {
                 lines[shape].push(k);
             }
         }
-        let mut boundary = vec![];
+        let place = |k: usize| places.place[places.boundary[k].particle];
+        let spacing = |k: usize| places.spacing[places.boundary[k].particle];
+        let distance = |k: usize, next: usize| ground.plane.distance(place(k), place(next));
+        let turn = |k: usize, next: usize| {
+            let [a, b] = [k, next].map(|k| places.boundary[k].normal);
+            a[0] * b[0] + a[1] * b[1]
+        };
+        let is_near = |k: usize, next: usize| distance(k, next) < NEXT * spacing(k).max(spacing(next));
+        let is_whole = |k: usize| places.boundary[k].on.is_some_and(|(shape, _)| places.bodies.contains(&shape));
+        let is_next = |k: usize, next: usize| is_whole(k) || (is_near(k, next) && turn(k, next) > -0.5);
+        let mut boundary: Vec<[usize; 3]> = vec![];
         for line in &mut lines {
             let t = |k: usize| places.boundary[k].on.map_or(0.0, |on| on.1);
             line.sort_by(|&a, &b| t(a).total_cmp(&t(b)));
             let n = line.len();
-            boundary.extend((0..n).map(|k| [line[k], line[(k + n - 1) % n], line[(k + 1) % n]]));
+            for (i, &k) in line.iter().enumerate() {
+                let [before, after] = [line[(i + n - 1) % n], line[(i + 1) % n]];
+                // The end of a wall along a whole period has its beginning next to it.
+                let across_period = || {
+                    let may = |&next: &usize| {
+                        let [a, b] = [place(k), place(next)];
+                        let is_wrapped = (a[0] - b[0]).hypot(a[1] - b[1]) > 1.5 * distance(k, next);
+                        is_wrapped && is_near(k, next) && turn(k, next) > 0.5
+                    };
+                    let found = line.iter().copied().filter(may);
+                    found.min_by(|&a, &b| distance(k, a).total_cmp(&distance(k, b))).unwrap_or(k)
+                };
+                let next = |next: usize| if is_next(k, next) { next } else { across_period() };
+                boundary.push([k, next(before), next(after)]);
+            }
         }
-        let place = |k: usize| places.place[places.boundary[k].particle];
-        let on_bodies: Vec<[f64; 2]> = boundary.iter().map(|[k, ..]| place(*k)).collect();
-        let points = Nearest::new(ground.plane, ground.dx, &on_bodies);
+        let on_shapes: Vec<[f64; 2]> = boundary.iter().map(|[k, ..]| place(*k)).collect();
+        let points = Nearest::new(ground.plane, ground.dx, &on_shapes);
         let distance = match boundary.is_empty() {
             true => vec![f64::INFINITY; places.place.len()],
             false => places.place.iter().map(|p| points.distance(*p, HIDES * ground.dx)).collect(),
@@ -191,16 +219,32 @@ impl<'a> Sight<'a> {
             if facing < -0.2 && out < 0.3 {
                 return false;
             }
+            // A side of the box behind a shape that stands on it.
+            let is_behind = |own: BoundaryPoint, other: BoundaryPoint| {
+                let Some((shape, _)) = own.on.filter(|(shape, _)| other.on.is_none_or(|other| other.0 != *shape))
+                else {
+                    return false;
+                };
+                let off = 0.05 * places.spacing[own.particle];
+                let middle = std::array::from_fn(|d| a[d] + 0.5 * r[d] + off * own.normal[d]);
+                places.polygons[shape].covers(&self.plane, self.plane.wrapped(middle))
+            };
+            if is_behind(p, q) || is_behind(q, p) {
+                return false;
+            }
         }
         let middle = [a[0] + 0.5 * r[0], a[1] + 0.5 * r[1]];
         let (from, to) = ([-0.5 * r[0], -0.5 * r[1]], [0.5 * r[0], 0.5 * r[1]]);
         let place = |k: usize| self.plane.between(middle, places.place[places.boundary[k].particle]);
         for (_, found) in self.points.of(self.plane.wrapped(middle), EDGES, |_, _| true) {
             let [k, before, after] = self.boundary[found as usize];
-            for (k, next) in [(before, k), (k, after)] {
+            for (next, other) in [(before, after), (after, before)] {
                 let own =
                     |p: Option<BoundaryPoint>| p.is_some_and(|p| [k, next].contains(&(p.particle - places.inside)));
-                if !own(of_i) && !own(of_j) && crosses(from, to, place(k), place(next)) {
+                let at = place(k);
+                // An outline that leaves the fluid ends up to a spacing before it does.
+                let end = if next == k { std::array::from_fn(|d| 2.0 * at[d] - place(other)[d]) } else { place(next) };
+                if !own(of_i) && !own(of_j) && crosses(from, to, at, end) {
                     return false;
                 }
             }
@@ -267,6 +311,31 @@ fn stencils_of(
     stencils.map_err(|i| Unusable::Lonely(places.place[i]))
 }
 
+/// A particle of a part of the fluid, of several, in which no point gives the pressure.
+fn without_pressure(places: &Places, stencils: &Stencils, gives: impl Fn(&BoundaryPoint) -> bool) -> Option<usize> {
+    let n = places.place.len();
+    // Of each particle one of the same part, and so on to the first.
+    let mut same: Vec<usize> = (0..n).collect();
+    let first = |same: &mut Vec<usize>, mut i: usize| {
+        while same[i] != i {
+            same[i] = same[same[i]];
+            i = same[i];
+        }
+        i
+    };
+    for i in 0..n {
+        for k in 0..stencils.count(i) {
+            let (a, b) = (first(&mut same, i), first(&mut same, stencils.neighbour(i, k)));
+            same[a.max(b)] = a.min(b);
+        }
+    }
+    let part: Vec<usize> = (0..n).map(|i| first(&mut same, i)).collect();
+    let has: Vec<usize> =
+        places.boundary.iter().filter(|point| gives(point)).map(|point| part[point.particle]).collect();
+    let is_one = part.iter().all(|&first| first == part[0]);
+    (0..n).find(|&i| !is_one && part[i] == i && !has.contains(&i))
+}
+
 impl Cloud {
     /// Places particles around the shapes of `ground`, with fits of third order if flows are corrected by their slopes.
     ///
@@ -302,6 +371,14 @@ impl Cloud {
             .map_err(|_| Unusable::Singular)?;
         let counts = [places.inside, places.place.len()];
         let means = third.as_ref().map(|_| counts.map(|count| Smoothing::new(&stencils, count)));
+        let numbers: Vec<Vec<f64>> = ground.outlines.iter().map(|outline| outline.numbers.clone()).collect();
+        let gives_pressure = |point: &BoundaryPoint| {
+            let (motion, _) = surroundings.condition(point, places.place[point.particle], 0.0, &numbers);
+            matches!(motion, Motion::Outflow(_))
+        };
+        if let Some(lost) = without_pressure(&places, &stencils, gives_pressure) {
+            return Err(Unusable::Parts(places.place[lost]));
+        }
         let fits = Arc::new(Fits::of_one(stencils));
         Ok(Self { ground, places, fluid, deformation, fits, third, means, wall_fits, surroundings })
     }

@@ -199,7 +199,14 @@ impl Ground {
             let is_free = |p: [f64; 2]| self.is_in_box(p) && self.is_in_wall(&polygons, p, Some(k)).is_none();
             // A wall that reaches out of a periodic box is there once.
             let in_period = |p: [f64; 2]| (0..2).all(|d| p[d] >= -TOUCH * dx && p[d] < plane.size[d] - TOUCH * dx);
-            let whole = points.iter().all(|point| is_free(point.place));
+            let [low, high] = polygons[k].bounds();
+            let longer = |d: usize| if plane.periodic[d] { high[d] - low[d] - plane.size[d] } else { -plane.size[d] };
+            let is_free_all = points.iter().all(|point| is_free(point.place));
+            // Its ends would meet.
+            if is_free_all && (0..2).any(|d| longer(d).abs() <= TOUCH * dx) {
+                return Err(Unplaceable::Narrow { shape: k, width: 0.0 });
+            }
+            let whole = is_free_all && (0..2).all(|d| longer(d) < 0.0);
             let free: Vec<bool> =
                 points.iter().map(|point| is_free(point.place) && (whole || in_period(point.place))).collect();
             if !free.iter().any(|&free| free) {
@@ -288,21 +295,16 @@ impl Ground {
         }
         let layered: Vec<[f64; 2]> = kept.iter().map(|(p, _)| *p).collect();
         let to_layers = Nearest::new(plane, dx, &layered);
-        for (p, h) in self.lattice(&places.corners, &bodies) {
-            if !self.is_in_box(p)
-                || self.is_in_wall(&polygons, p, None).is_some()
-                || to_walls.distance(p, h) <= 0.75 * h
-            {
-                continue;
-            }
-            let beyond = match to_samples.one(p, FAR * dx) {
+        // Points of the lattice keep off walls and layers.
+        let may = |p: [f64; 2], h: f64| {
+            let is_in_fluid = self.is_in_box(p) && self.is_in_wall(&polygons, p, None).is_none();
+            let beyond = || match to_samples.one(p, FAR * dx) {
                 Some((distance, i)) => distance > near[i].1 - 0.95 * dx,
                 None => true,
             };
-            if beyond && to_layers.distance(p, dx) > 0.75 * dx {
-                kept.push((p, h));
-            }
-        }
+            is_in_fluid && to_walls.distance(p, h) > 0.75 * h && beyond() && to_layers.distance(p, dx) > 0.75 * dx
+        };
+        kept.extend(self.lattice(&places.corners, &bodies, &may));
         if kept.len() < 20 {
             return Err(Unplaceable::Full);
         }
@@ -486,9 +488,15 @@ impl Ground {
         spacing < 1.02 * self.dx
     }
 
-    /// The points of the lattice with their spacing. Where it is coarser only some are left, no two of them nearer than 0.85 spacings,
-    /// taken in an order without direction; repulsion will spread them.
-    fn lattice(&self, corners: &[[f64; 2]; 2], bodies: &[[f64; 2]]) -> Vec<([f64; 2], f64)> {
+    /// The points of the lattice that `may` be there, with their spacing. Where it is coarser only some are left, no two of them nearer than
+    /// 0.85 spacings, taken in an order without direction; repulsion will spread them. (Points that a wall then took away would leave gaps
+    /// along it: of 60 slow flows past a disc with `far` = 2 six had no steady state.)
+    fn lattice(
+        &self,
+        corners: &[[f64; 2]; 2],
+        bodies: &[[f64; 2]],
+        may: &impl Fn([f64; 2], f64) -> bool,
+    ) -> Vec<([f64; 2], f64)> {
         let cells = self.cells(corners);
         let range = |d: usize| if self.plane.periodic[d] { 0..cells[d] } else { 1..cells[d] };
         let at = |d: usize, k: usize| corners[0][d] + (corners[1][d] - corners[0][d]) * k as f64 / cells[d] as f64;
@@ -497,6 +505,9 @@ impl Ground {
             for j in range(1) {
                 let p = [at(0, i), at(1, j)];
                 let h = self.spacing(p, bodies);
+                if !may(p, h) {
+                    continue;
+                }
                 if self.is_fine(h) {
                     found.push((p, h));
                 } else {

@@ -105,6 +105,19 @@ impl Ground {
                 return Err(Unplaceable::Thin { shape, width: 2.0 * surface.size() });
             }
         }
+        // A few points tell that a shape is larger than the box, such as one in other units, which would have any number of points.
+        for (shape, surface) in self.surfaces.iter().enumerate() {
+            let few = surface.spread(&region, h0.max(surface.size()), 0.0);
+            let places: Vec<[f64; 3]> = few.iter().map(|spot| surface.at(spot, &surface.numbers).place).collect();
+            let extent = |d: usize| {
+                let bounds = |[low, high]: [f64; 2], p: &[f64; 3]| [low.min(p[d]), high.max(p[d])];
+                let [low, high] = places.iter().fold([f64::INFINITY, f64::NEG_INFINITY], bounds);
+                high - low
+            };
+            if places.iter().any(|p| !self.is_in_box(*p, 0.0)) || (0..3).any(|d| extent(d) > region.size[d]) {
+                return Err(Unplaceable::Narrow { shape, width: 0.0 });
+            }
+        }
         let mut boundary: Vec<BoundaryPoint> = vec![];
         // Place and spacing of points on the boundary, and inside.
         let mut walls: Vec<([f64; 3], f64)> = vec![];
