@@ -387,6 +387,7 @@ impl Checked {
         let own = RunFolder::take(folder, "check-gradient", Earlier::Replaced)?;
         let bar = Progress::new(first.len() as u64, "check-gradient");
         let numbers = config.shape_numbers();
+        let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         let mut differences = vec![];
         for k in 0..first.len() {
             interrupt::check()?;
@@ -412,7 +413,6 @@ impl Checked {
             };
             // Richardson's extrapolation of two central differences. Its error is about the square of what it adds, in parts of the gradient:
             // where that is too much the objective bends within the step, which is halved.
-            let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
             let (mut wide, mut narrow) = (central(step)?, central(0.5 * step)?);
             for halvings in 2..=HALVINGS {
                 if narrow == wide || ((narrow - wide) / (3.0 * norm)).powi(2) < 0.1 * tolerance {
@@ -424,7 +424,6 @@ impl Checked {
             bar.done(1);
         }
         bar.finish();
-        let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         if norm == 0.0 && differences.iter().all(|&x| x == 0.0) {
             let problem =
                 format!("the objective ({}, {found:.9}) depends on none of the variables", of_objective(config));
