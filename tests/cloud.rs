@@ -1214,6 +1214,19 @@ fn what_fixed_particles_cannot_do_is_refused_by_name() {
     );
 }
 
+/// A plate divides a box with an outflow. Below it there is only a heat flux, so any temperature could be added; factors of such a matrix are
+/// made of rounding.
+#[test]
+fn a_part_without_a_temperature_is_told() {
+    let text = "scene = \"custom\"\nregion.size = [1.0, 0.4]\nregion.periodic = [false, false]\nregion.acceleration = [0.0, 0.0]\n\
+        fluid.viscosity = 0.02\nfluid.conductivity = 0.02\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\n\
+        region.sides.right = { kind = \"outflow\" }\nregion.sides.top = { kind = \"wall\", temperature = 0.0 }\n\
+        region.sides.bottom = { kind = \"wall\", heat_flux = 0.1 }\nresolution.dx = 0.04\nmethod.name = \"fixed\"\n\
+        [[shapes]]\nkind = \"box\"\nlower = [-1.0, 0.18]\nupper = [2.0, 0.22]\n";
+    let error = AroundShapes::new(&loaded(text)).unwrap().solve(&[]).err().unwrap().to_string();
+    assert!(error.contains("is a temperature given in each part"), "{error}");
+}
+
 /// Where points of a coarser lattice were chosen before walls took some of them away, there were gaps along the sides, and at these places
 /// of the disc no steady flow.
 #[test]

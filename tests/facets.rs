@@ -363,14 +363,16 @@ fn a_scene_has_its_file_beside_it() {
         assert!(error.contains(problem), "{problem}: {error}");
     }
     // In the wall, or in other units: the surface of the last would have 10^10 points.
-    for more in ["centre = [5.0, 3.5, 2.0]\n", "scale = 20.0\n", "scale = 1e5\n"] {
-        for periodic in [BOX.1, "[true, true, true]"] {
-            if periodic != BOX.1 && more.starts_with("centre") {
-                continue;
-            }
-            let loaded = scene(BOX.0, periodic, "fixed", more).unwrap();
-            let error = AroundBodies::new(&loaded.config).err().unwrap().to_string();
-            assert!(error.contains("shapes[0] cuts") && error.contains("shapes[0].scale=0.001"), "{more}: {error}");
-        }
+    const ALL: &str = "[true, true, true]";
+    for (more, periodic) in [
+        ("centre = [5.0, 3.5, 2.0]\n", BOX.1),
+        ("scale = 20.0\n", BOX.1),
+        ("scale = 20.0\n", ALL),
+        ("scale = 1e5\n", BOX.1),
+        ("scale = 1e5\n", ALL),
+    ] {
+        let loaded = scene(BOX.0, periodic, "fixed", more).unwrap();
+        let error = AroundBodies::new(&loaded.config).err().unwrap().to_string();
+        assert!(error.contains("shapes[0] cuts") && error.contains("shapes[0].scale=0.001"), "{more}: {error}");
     }
 }

@@ -8,7 +8,6 @@ use crate::config::scene::{Asked, Config, DriveName, Family, Goal, Method, Objec
 use crate::error::BadInput;
 
 /// The figures that fixed particles around shapes have.
-/// The objectives of shapes among fixed particles.
 const fn of_shapes(dimension: usize) -> &'static str {
     match dimension {
         2 => "flow-rate, drag, lift, lift-over-drag, torque, shape-heat, heat-outflow, pressure-drop, dissipation; pressure, temperature, velocity-x, velocity-y (at a point)",

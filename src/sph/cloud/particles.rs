@@ -212,6 +212,7 @@ impl<'a> Sight<'a> {
         }
         let of = |i: usize| (i >= places.inside).then(|| places.boundary[i - places.inside]);
         let (of_i, of_j) = (of(i), of(j));
+        let middle = [a[0] + 0.5 * r[0], a[1] + 0.5 * r[1]];
         if let (Some(p), Some(q)) = (of_i, of_j) {
             // Both sides of a thin body, whose inside is between them.
             let facing = p.normal[0] * q.normal[0] + p.normal[1] * q.normal[1];
@@ -226,14 +227,13 @@ impl<'a> Sight<'a> {
                     return false;
                 };
                 let off = 0.05 * places.spacing[own.particle];
-                let middle = std::array::from_fn(|d| a[d] + 0.5 * r[d] + off * own.normal[d]);
-                places.polygons[shape].covers(&self.plane, self.plane.wrapped(middle))
+                let off_it = std::array::from_fn(|d| middle[d] + off * own.normal[d]);
+                places.polygons[shape].covers(&self.plane, self.plane.wrapped(off_it))
             };
             if is_behind(p, q) || is_behind(q, p) {
                 return false;
             }
         }
-        let middle = [a[0] + 0.5 * r[0], a[1] + 0.5 * r[1]];
         let (from, to) = ([-0.5 * r[0], -0.5 * r[1]], [0.5 * r[0], 0.5 * r[1]]);
         let place = |k: usize| self.plane.between(middle, places.place[places.boundary[k].particle]);
         for (_, found) in self.points.of(self.plane.wrapped(middle), EDGES, |_, _| true) {
@@ -254,10 +254,7 @@ impl<'a> Sight<'a> {
         if let Some((wall, (body, _))) = wall.and_then(|wall| Some((wall, wall.on?))) {
             let sign = if of_i.is_some() { 1.0 } else { -1.0 };
             let out = sign * (wall.normal[0] * r[0] + wall.normal[1] * r[1]) / length;
-            // The polygon is not wrapped.
-            let own = places.polygons[body].first().copied().unwrap_or(middle);
-            let step = self.plane.between(own, middle);
-            if out < -0.5 && places.polygons[body].contains([own[0] + step[0], own[1] + step[1]]) {
+            if out < -0.5 && places.polygons[body].covers(&self.plane, self.plane.wrapped(middle)) {
                 return false;
             }
         }
@@ -311,31 +308,6 @@ fn stencils_of(
     stencils.map_err(|i| Unusable::Lonely(places.place[i]))
 }
 
-/// A particle of a part of the fluid, of several, in which no point gives the pressure.
-fn without_pressure(places: &Places, stencils: &Stencils, gives: impl Fn(&BoundaryPoint) -> bool) -> Option<usize> {
-    let n = places.place.len();
-    // Of each particle one of the same part, and so on to the first.
-    let mut same: Vec<usize> = (0..n).collect();
-    let first = |same: &mut Vec<usize>, mut i: usize| {
-        while same[i] != i {
-            same[i] = same[same[i]];
-            i = same[i];
-        }
-        i
-    };
-    for i in 0..n {
-        for k in 0..stencils.count(i) {
-            let (a, b) = (first(&mut same, i), first(&mut same, stencils.neighbour(i, k)));
-            same[a.max(b)] = a.min(b);
-        }
-    }
-    let part: Vec<usize> = (0..n).map(|i| first(&mut same, i)).collect();
-    let has: Vec<usize> =
-        places.boundary.iter().filter(|point| gives(point)).map(|point| part[point.particle]).collect();
-    let is_one = part.iter().all(|&first| first == part[0]);
-    (0..n).find(|&i| !is_one && part[i] == i && !has.contains(&i))
-}
-
 impl Cloud {
     /// Places particles around the shapes of `ground`, with fits of third order if flows are corrected by their slopes.
     ///
@@ -371,16 +343,44 @@ impl Cloud {
             .map_err(|_| Unusable::Singular)?;
         let counts = [places.inside, places.place.len()];
         let means = third.as_ref().map(|_| counts.map(|count| Smoothing::new(&stencils, count)));
-        let numbers: Vec<Vec<f64>> = ground.outlines.iter().map(|outline| outline.numbers.clone()).collect();
-        let gives_pressure = |point: &BoundaryPoint| {
-            let (motion, _) = surroundings.condition(point, places.place[point.particle], 0.0, &numbers);
+        let fits = Arc::new(Fits::of_one(stencils));
+        let cloud = Self { ground, places, fluid, deformation, fits, third, means, wall_fits, surroundings };
+        match cloud.without_pressure() {
+            Some(lost) => Err(Unusable::Parts(cloud.places.place[lost])),
+            None => Ok(cloud),
+        }
+    }
+
+    /// A particle of a part of the fluid, of several, in which no point gives the pressure.
+    fn without_pressure(&self) -> Option<usize> {
+        let (places, stencils, n) = (&self.places, &self.fits.all, self.particles());
+        // Of each particle one of the same part, and so on to the first.
+        let mut same: Vec<usize> = (0..n).collect();
+        let first = |same: &mut Vec<usize>, mut i: usize| {
+            while same[i] != i {
+                same[i] = same[same[i]];
+                i = same[i];
+            }
+            i
+        };
+        for i in 0..n {
+            for k in 0..stencils.count(i) {
+                let (a, b) = (first(&mut same, i), first(&mut same, stencils.neighbour(i, k)));
+                same[a.max(b)] = a.min(b);
+            }
+        }
+        let parts: Vec<usize> = (0..n).filter(|&i| same[i] == i).collect();
+        if parts.len() == 1 {
+            return None;
+        }
+        let numbers = self.numbers();
+        let gives = |point: &&BoundaryPoint| {
+            let (motion, _) = self.surroundings.condition(point, places.place[point.particle], 0.0, &numbers);
             matches!(motion, Motion::Outflow(_))
         };
-        if let Some(lost) = without_pressure(&places, &stencils, gives_pressure) {
-            return Err(Unusable::Parts(places.place[lost]));
-        }
-        let fits = Arc::new(Fits::of_one(stencils));
-        Ok(Self { ground, places, fluid, deformation, fits, third, means, wall_fits, surroundings })
+        let with: Vec<usize> =
+            places.boundary.iter().filter(gives).map(|point| first(&mut same, point.particle)).collect();
+        parts.into_iter().find(|part| !with.contains(part))
     }
 
     pub fn particles(&self) -> usize {

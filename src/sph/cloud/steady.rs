@@ -427,17 +427,23 @@ impl Solver {
             return Ok(());
         }
         self.factorise_heat(operators, state)?;
-        let mut cold = state.clone();
-        cold.fields[3].fill(0.0);
-        let d = self.equations.derivatives(operators, &cold, true);
-        let given = largest(&self.heat_residual(&cold, &d, defect));
-        for refined in [false, true] {
+        let left = |state: &State| {
             let d = self.equations.derivatives(operators, state, true);
-            let right: Vec<f64> = self.heat_residual(state, &d, defect).iter().map(|x| -x).collect();
+            self.heat_residual(state, &d, defect)
+        };
+        let mut before = f64::INFINITY;
+        for _ in 0..2 {
+            let right: Vec<f64> = left(state).iter().map(|x| -x).collect();
+            let now = largest(&right);
             // Factors of a singular matrix are made of rounding, and solve nothing: a part of the fluid has no temperature given.
-            if refined && largest(&right) > UNSOLVED * given {
-                return Err(NoSteadyState::Singular);
+            if now > UNSOLVED * before {
+                let mut cold = state.clone();
+                cold.fields[3].fill(0.0);
+                if now > UNSOLVED * largest(&left(&cold)) {
+                    return Err(NoSteadyState::Singular);
+                }
             }
+            before = now;
             let change = self.heat_factors()?.solve(&right, false);
             state.fields[3].iter_mut().zip(change).for_each(|(t, change)| *t += change);
         }
