@@ -995,7 +995,7 @@ fn what_goes_through_a_line_around_a_body_is_that_of_exact_fields() {
         let points: Vec<usize> = (0..shaped.area.len())
             .filter(|&j| around.flow.cloud.places.boundary[j].on.is_some_and(|(on, _)| on == k))
             .collect();
-        let line = |in_time: bool| Contour::around(&around.flow.cloud, k, points.clone(), in_time);
+        let line = |in_time: bool| Contour::around(&around.flow.cloud, k, points.clone(), in_time).unwrap();
         let centre = shaped.centre[k];
         let steady = line(false).force(&at, [0.0; 2], centre);
         // -(2, -3) times the area within the line; what it holds beside the body is what a body force of 1 pushes with.
@@ -1099,18 +1099,15 @@ fn particles_stay_in_the_box_where_surfaces_meet_its_sides() {
     }
 }
 
-/// A floor that meets the sides of the box may be shaped by the numbers that leave its ends in place, with the exact derivative.
-#[test]
-fn a_floor_may_be_shaped_between_its_ends() {
-    let sets = ["resolution.dx=0.05".to_string()];
-    let config = Config::load(Some("shaped-floor"), None, &sets).unwrap().config;
-    let mut around = AroundShapes::new(&config).unwrap();
+/// Asserts that an objective's derivatives by some of the variables are those of differences but for a share of the gradient's length.
+fn assert_derivatives(config: &Config, wanted: &[usize], tolerance: f64) {
+    let mut around = AroundShapes::new(config).unwrap();
     let first = around.first();
     let solution = around.solve(&first).unwrap();
     let (value, terms) = around.objective(&solution);
     let gradient = around.gradient(&solution, &terms).unwrap().by_variables;
     let norm = gradient.iter().map(|x| x * x).sum::<f64>().sqrt();
-    for k in [0, 2] {
+    for &k in wanted {
         let mut at = |by: f64| {
             let mut moved = first.clone();
             moved[k] += by;
@@ -1119,8 +1116,18 @@ fn a_floor_may_be_shaped_between_its_ends() {
         };
         let mut central = |step: f64| (at(step) - at(-step)) / (2.0 * step);
         let difference = (4.0 * central(5e-4) - central(1e-3)) / 3.0;
-        assert!((difference - gradient[k]).abs() < 1e-7 * norm, "{k}: {} and {difference} of {value}", gradient[k]);
+        let of = &config.objective.kind;
+        println!("{of:?} = {value} by {}: {} and {difference}", config.variables[k].number, gradient[k]);
+        assert!((difference - gradient[k]).abs() < tolerance * norm, "{of:?}, {k}");
     }
+}
+
+/// A floor that meets the sides of the box may be shaped by the numbers that leave its ends in place, with the exact derivative.
+#[test]
+fn a_floor_may_be_shaped_between_its_ends() {
+    let sets = ["resolution.dx=0.05".to_string()];
+    let config = Config::load(Some("shaped-floor"), None, &sets).unwrap().config;
+    assert_derivatives(&config, &[0, 2], 1e-7);
     // A point near a side takes the end along.
     let mut wrong = config.clone();
     wrong.variables[0].number = "shapes[0].points[6][1]".into();
@@ -1249,10 +1256,10 @@ fn a_slow_flow_among_coarser_particles_is_found_wherever_a_disc_is() {
 }
 
 /// Particles saw each other through a thin wall that stands on a side: with a fin of a sixth of a spacing its drag was 0.121, with a quarter
-/// 0.169. With dx = 0.01 it is what stands here.
+/// 0.169. With dx = 0.005 it is what stands here.
 #[test]
 fn nothing_is_seen_through_a_thin_fin_on_a_side() {
-    for (thickness, fine) in [(0.007, 0.2125), (0.01, 0.2151), (0.03, 0.2123)] {
+    for (thickness, fine) in [(0.007, 0.21975), (0.01, 0.21978), (0.03, 0.22007)] {
         let text = format!(
             "scene = \"custom\"\nregion.size = [1.0, 0.4]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
              fluid.viscosity = 0.02\nresolution.dx = 0.04\nmethod.name = \"fixed\"\n\
@@ -1263,7 +1270,7 @@ fn nothing_is_seen_through_a_thin_fin_on_a_side() {
         let solution = around.solve(&[]).unwrap();
         let drag = around.value(&solution, Figure::Force { shape: 0, along: 0 });
         println!("{thickness}: {drag}");
-        assert!((drag / fine - 1.0).abs() < 0.03, "{thickness}: {drag}, and finer {fine}");
+        assert!((drag / fine - 1.0).abs() < 0.005, "{thickness}: {drag}, and finer {fine}");
     }
 }
 
@@ -1284,6 +1291,75 @@ fn a_plate_that_divides_a_channel_has_the_drag_of_two() {
     // The stress on a wall of plane Poiseuille flow is 6 mu U / H, on both sides of a length of 1.
     let known = 2.0 * 6.0 * viscosity * velocity / depth;
     assert!((drag / known - 1.0).abs() < 0.02, "{drag}, known {known}");
+}
+
+/// The heat and the drag of a fin on a side of a channel, by lines that end on the side, beside finer clouds (dx = 0.01 has 0.18022 and 1.1846);
+/// by its surface they are 11 and 3 % less, since flux and pressure are singular at its corners.
+#[test]
+fn a_line_from_side_to_side_tells_the_figures_of_a_fin() {
+    let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.04\ninitial.temperature = 0.0\n\
+        fluid.viscosity = 0.05\nfluid.conductivity = 0.05\nfluid.inlet_temperature = 0.0\n\
+        region.size = [2.0, 1.0]\nregion.periodic = [false, false]\n\
+        region.sides.left = { kind = \"inflow\", velocity = [\"4*y*(1 - y)\", 0], temperature = 0 }\n\
+        region.sides.right = { kind = \"outflow\" }\n\
+        [[shapes]]\nkind = \"box\"\nlower = [0.65, -0.3]\nupper = [0.8, 0.4]\ntemperature = 1.0\n";
+    let (around, solution) = solved(text);
+    let value = |figure: Figure| around.value(&solution, figure);
+    let (heat, drag) = (value(Figure::Heat { shape: 0 }), value(Figure::Force { shape: 0, along: 0 }));
+    let at = around.flow.at(&solution);
+    let (own_heat, own_drag) =
+        (around.flow.measures.surface_heat(&at, 0), around.flow.measures.surface_force(&at, 0, 0));
+    println!("heat {heat} ({own_heat} by its surface), drag {drag} ({own_drag})");
+    assert!((heat / 0.18022 - 1.0).abs() < 0.006 && (drag / 1.1846 - 1.0).abs() < 0.003, "{heat} {drag}");
+    assert!(own_heat < 0.92 * heat && own_drag < 0.98 * drag);
+}
+
+/// A fin across the end of a period is the same fin elsewhere. Of such a fin the part beyond the end was left out.
+#[test]
+fn a_fin_may_stand_across_the_end_of_a_period() {
+    let drag = |from: f64| {
+        let text = format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.04\nfluid.viscosity = 0.05\n\
+             region.size = [1.0, 0.8]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
+             [[shapes]]\nkind = \"box\"\nlower = [{from}, -0.3]\nupper = [{}, 0.4]\n",
+            from + 0.15
+        );
+        let (around, solution) = solved(&text);
+        around.value(&solution, Figure::Force { shape: 0, along: 0 })
+    };
+    let (inside, before, after) = (drag(0.4), drag(-0.08), drag(0.92));
+    println!("{inside}, across the ends {before} and {after}");
+    assert!((before / inside - 1.0).abs() < 1e-3 && (after / inside - 1.0).abs() < 1e-3);
+}
+
+/// Points of a side stand for all of it that is in the fluid, up to a fin.
+#[test]
+fn a_side_ends_where_a_fin_begins() {
+    let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.04\nfluid.viscosity = 0.05\n\
+        region.size = [1.0, 0.8]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
+        [[shapes]]\nkind = \"box\"\nlower = [0.413, 0.5]\nupper = [0.545, 1.2]\n";
+    let around = AroundShapes::new(&loaded(text)).unwrap();
+    let top = around.flow.cloud.places.boundary.iter().filter(|point| point.side == Some(3));
+    let length: f64 = top.map(|point| point.weight).sum();
+    assert!((length - (1.0 - 0.132)).abs() < 1e-9, "{length}");
+}
+
+/// The figures of a fin change with a disc beside it as differences say: what goes through the line around it, and what its side has within.
+#[test]
+fn the_derivative_of_what_a_line_to_a_side_tells_is_that_of_differences() {
+    let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.05\ninitial.temperature = 0.0\n\
+        fluid.viscosity = 0.05\nfluid.conductivity = 0.05\nfluid.inlet_temperature = 0.0\n\
+        region.size = [1.0, 0.8]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.3]\n\
+        region.sides.top = { kind = \"wall\", temperature = 0.0 }\nobjective.shapes = [0]\n\
+        [[shapes]]\nkind = \"polygon\"\npoints = [[0.2, -0.3], [0.3, -0.3], [0.36, 0.4], [0.3, 0.4]]\ntemperature = 1.0\n\
+        [[shapes]]\nkind = \"disc\"\ncentre = [0.7, 0.45]\nradius = 0.1\ntemperature = 0.7\n\
+        [[variables]]\nnumber = \"shapes[1].centre[0]\"\nlower = 0.65\nupper = 0.75\n\
+        [[variables]]\nnumber = \"shapes[1].radius\"\nlower = 0.08\nupper = 0.12\n";
+    for kind in ["drag", "torque", "shape-heat"] {
+        let config =
+            loaded(&text.replace("objective.shapes", &format!("objective.kind = \"{kind}\"\nobjective.shapes")));
+        assert_derivatives(&config, &[0, 1], 1e-7);
+    }
 }
 
 /// A disc that turns back and forth in a channel with a pulsating inflow, warm, with buoyancy.

@@ -1,4 +1,4 @@
-//! Closed lines around bodies, through particles, and what flows through them: forces, torques and heat.
+//! Lines around shapes, through particles, and what flows through them: forces, torques and heat.
 //!
 //! Between a body and a closed line C around it that encloses nothing else, momentum and heat are conserved. With the traction
 //! t = -p n + nu (grad u + grad u^T) n, the normal n out of C, a body force f per mass and the area A of the fluid within C,
@@ -19,6 +19,10 @@
 //! elsewhere, while fields on C are smooth. C is the mean of three lines, 3 to 7 dx away and no farther than half of the way to what is
 //! next. They follow cells of the lattice, with corners moved to the nearest particles, which carry them. Between two particles fields and
 //! their slopes are cubic with the derivatives that both have (Hermite's interpolation), read at Gauss's two points.
+//!
+//! The line around a shape that stands on other walls, such as a fin, begins and ends on these. C is closed by what they have in between
+//! ([`Contour::feet`]), through which flows what sums over their points say: beside the corner that a fin has with its wall fields are
+//! smooth, other than at its tip.
 
 use super::equations::Bar;
 use super::nearest::{Nearest, Plane};
@@ -36,6 +40,8 @@ const NEARER: f64 = 0.997;
 const CELLS: f64 = 6.0;
 /// Corners of the lines go to particles that are nearest to places so far from the corners of cells, in cells.
 const ASIDE: [f64; 2] = [0.023, 0.017];
+/// Walls that a shape stands on turn by this at most.
+const TURN: f64 = 1.0;
 /// Distances from a body are those from points on it that are so far from each other, in dx.
 const THINNED: f64 = 0.1;
 
@@ -46,12 +52,34 @@ struct Corner {
     shift: [f64; 2],
 }
 
+/// A point of a wall that a shape stands on, within lines around it.
+#[derive(Debug, Clone, Copy)]
+pub struct Foot {
+    /// Index of the boundary.
+    pub point: usize,
+    /// How much of it is within, times the share of the lines that it is within.
+    pub share: f64,
+    /// To the image that is within.
+    pub shift: [f64; 2],
+}
+
+/// What a cell of the lattice is to a shape.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Cell {
+    /// In other walls, or out of the box.
+    Wall,
+    /// Within this line and those after it.
+    Within(usize),
+    Beyond,
+}
+
 /// The lines around a body, as pieces that have the body on their left.
 #[derive(Debug, Clone)]
 pub struct Contour {
     pieces: Vec<[Corner; 2]>,
     /// The points on the body, as indices of the boundary.
     surface: Vec<usize>,
+    feet: Vec<Foot>,
     /// A point within the body, or near it.
     origin: [f64; 2],
     /// Whether the flow may not be steady.
@@ -80,6 +108,12 @@ fn gauss() -> [f64; 2] {
     [0.5 - off, 0.5 + off]
 }
 
+/// From a place to that of its images which is nearest to another place.
+fn shift_to(plane: &Plane, own: [f64; 2], p: [f64; 2]) -> [f64; 2] {
+    let r = plane.between(own, p);
+    std::array::from_fn(|d| p[d] - r[d] - own[d])
+}
+
 fn place(at: &At<'_>, corner: Corner) -> [f64; 2] {
     std::array::from_fn(|d| at.shaped.position[d][corner.particle] + corner.shift[d])
 }
@@ -95,10 +129,53 @@ fn thinned(points: &[[f64; 2]], apart: f64) -> Vec<[f64; 2]> {
     found
 }
 
+/// The lower and upper corner of the box around points.
+fn bounds(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    let of = |first: f64, choose: fn(f64, f64) -> f64| {
+        std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(first, choose))
+    };
+    [of(f64::MAX, f64::min), of(f64::MIN, f64::max)]
+}
+
+/// What a shape stands on.
+struct Walls {
+    /// Sides of the box, see [`super::placing::BoundaryPoint::side`].
+    sides: Vec<usize>,
+    shapes: Vec<usize>,
+}
+
+impl Walls {
+    /// What a shape reaches into.
+    fn of(cloud: &Cloud, shape: usize) -> Self {
+        let (plane, places) = (&cloud.ground.plane, &cloud.places);
+        if places.bodies.contains(&shape) {
+            return Self { sides: vec![], shapes: vec![] };
+        }
+        let [low, high] = places.polygons[shape].bounds();
+        let reaches_out = |side: &usize| {
+            let d = side / 2;
+            !plane.periodic[d] && if side.is_multiple_of(2) { low[d] <= 0.0 } else { high[d] >= plane.size[d] }
+        };
+        let overlaps = |other: &usize| {
+            let is_in = |a: usize, b: usize| {
+                let polygon = &places.polygons[b];
+                places.polygons[a].iter().any(|&p| polygon.covers(plane, plane.wrapped(p)))
+            };
+            *other != shape && (is_in(shape, *other) || is_in(*other, shape))
+        };
+        let shapes = (0..places.polygons.len()).filter(overlaps).collect();
+        Self { sides: (0..4).filter(reaches_out).collect(), shapes }
+    }
+
+    fn is_none(&self) -> bool {
+        self.sides.is_empty() && self.shapes.is_empty()
+    }
+}
+
 /// What is near a body.
 struct Beside {
     plane: Plane,
-    /// Points on it.
+    /// Points on it, of a shape that stands on walls those in the fluid.
     polygon: Vec<[f64; 2]>,
     /// The offsets of its own images that are near.
     images: Vec<[f64; 2]>,
@@ -110,13 +187,19 @@ struct Beside {
 }
 
 impl Beside {
-    fn new(cloud: &Cloud, body: usize, most: f64) -> Self {
+    fn new(cloud: &Cloud, body: usize, surface: &[usize], walls: &Walls, most: f64) -> Self {
         let (places, plane, dx) = (&cloud.places, cloud.ground.plane, cloud.ground.dx);
-        let polygon = thinned(&places.polygons[body], THINNED * dx);
-        let on_others = places.boundary.iter().filter(|point| point.on.is_none_or(|(shape, _)| shape != body));
+        let polygon = match walls.is_none() {
+            true => thinned(&places.polygons[body], THINNED * dx),
+            false => surface.iter().map(|&k| places.place[places.boundary[k].particle]).collect(),
+        };
+        let on_others = places.boundary.iter().filter(|point| match point.on {
+            Some((shape, _)) => shape != body && !walls.shapes.contains(&shape),
+            None => !point.side.is_some_and(|side| walls.sides.contains(&side)),
+        });
         let others: Vec<[f64; 2]> = on_others.map(|point| places.place[point.particle]).collect();
         let wrapped: Vec<[f64; 2]> = polygon.iter().map(|&p| plane.wrapped(p)).collect();
-        let [low, high] = places.polygons[body].bounds();
+        let [low, high] = bounds(&polygon);
         let is_near = |image: &[f64; 2]| *image != [0.0; 2] && (0..2).all(|d| image[d].abs() < high[d] - low[d] + most);
         let images = plane.images().filter(is_near).collect();
         let (to_body, to_others) = (Nearest::new(plane, dx, &wrapped), Nearest::new(plane, dx, &others));
@@ -143,53 +226,85 @@ impl Beside {
     }
 }
 
+impl Foot {
+    /// Where it is, as seen from its shape.
+    pub fn place(&self, at: &At<'_>) -> [f64; 2] {
+        let own = at.place_on(self.point);
+        std::array::from_fn(|d| own[d] + self.shift[d])
+    }
+}
+
 impl Contour {
-    /// The line around a body, given the points on its surface, in a flow that is steady or not.
-    pub fn around(cloud: &Cloud, body: usize, surface: Vec<usize>, in_time: bool) -> Self {
+    /// The line around a shape, given the points on its surface, in a flow that is steady or not. None around a shape that goes along a whole
+    /// period, and where walls that it stands on turn within the line: these would have the errors at corners that the line is for.
+    pub fn around(cloud: &Cloud, body: usize, surface: Vec<usize>, in_time: bool) -> Option<Self> {
         let (ground, places) = (&cloud.ground, &cloud.places);
         let (plane, dx) = (ground.plane, ground.dx);
         let whole = &places.polygons[body];
         let reach = REACHES[2] * dx;
-        let beside = Beside::new(cloud, body, 2.0 * reach);
+        let walls = Walls::of(cloud, body);
+        let [from, to] = whole.bounds();
+        if surface.is_empty() || (0..2).any(|d| plane.periodic[d] && to[d] - from[d] >= plane.size[d]) {
+            return None;
+        }
+        let beside = Beside::new(cloud, body, &surface, &walls, 2.0 * reach);
         let polygon = &beside.polygon;
         let width = polygon.iter().map(|&p| beside.to_next(p)).fold(f64::MAX, f64::min);
         let refined = (CELLS * dx / width).ceil().max(1.0);
         let [low, high] = places.corners;
         let cells = ground.cells(&places.corners);
         let step: [f64; 2] = std::array::from_fn(|d| (high[d] - low[d]) / cells[d] as f64 / refined);
-        let [from, to] = whole.bounds();
+        let [from, to] = bounds(polygon);
         let first: [i64; 2] = std::array::from_fn(|d| ((from[d] - reach - low[d]) / step[d]).floor() as i64 - 1);
         let count: [usize; 2] = std::array::from_fn(|d| {
             let last = ((to[d] + reach - low[d]) / step[d]).ceil() as i64 + 1;
             (last - first[d]) as usize
         });
         let at = |i: f64, j: f64| [low[0] + (first[0] as f64 + i) * step[0], low[1] + (first[1] as f64 + j) * step[1]];
-        // The least of the lines that has a cell within it.
-        let belongs: Vec<usize> = (0..count[0] * count[1])
+        let belongs: Vec<Cell> = (0..count[0] * count[1])
             .map(|k| {
                 let p = at((k / count[1]) as f64 + 0.5, (k % count[1]) as f64 + 0.5);
+                if !walls.is_none() && ground.is_solid(&places.polygons, p, body) {
+                    return Cell::Wall;
+                }
                 if whole.contains(p) {
-                    return 0;
+                    return Cell::Within(0);
                 }
                 let distance = beside.to_body(p);
                 let line = REACHES.iter().position(|&reach| distance < reach * dx);
-                line.filter(|_| distance < NEARER * beside.to_next(p)).unwrap_or(REACHES.len())
+                line.filter(|_| distance < NEARER * beside.to_next(p)).map_or(Cell::Beyond, Cell::Within)
             })
             .collect();
-        let is_in = |line: usize, i: i64, j: i64| {
+        let cell = |i: i64, j: i64| {
             let inside = |k: i64, d: usize| k >= 0 && (k as usize) < count[d];
-            inside(i, 0) && inside(j, 1) && belongs[i as usize * count[1] + j as usize] <= line
+            if inside(i, 0) && inside(j, 1) {
+                belongs[i as usize * count[1] + j as usize]
+            } else {
+                Cell::Beyond
+            }
         };
+        let is_in = |line: usize, i: i64, j: i64| matches!(cell(i, j), Cell::Within(least) if least <= line);
         let to_particles = Nearest::new(plane, dx, &places.place[..places.inside]);
+        let mut is_own = vec![walls.is_none(); places.boundary.len()];
+        surface.iter().for_each(|&k| is_own[k] = true);
+        let on_walls: Vec<usize> = (0..places.boundary.len()).filter(|&k| !is_own[k]).collect();
+        let places_of: Vec<[f64; 2]> =
+            on_walls.iter().map(|&k| plane.wrapped(places.place[places.inside + k])).collect();
+        let to_walls = Nearest::new(plane, dx, &places_of);
         let corner = |i: i64, j: i64| {
             // Rounding shall not decide between particles that are equally near.
             let p = at(i as f64 + ASIDE[0], j as f64 + ASIDE[1]);
-            let (_, particle) = to_particles.one(plane.wrapped(p), 4.0 * ground.far * dx)?;
-            let own = places.place[particle];
-            let r = plane.between(own, p);
-            Some(Corner { particle, shift: std::array::from_fn(|d| p[d] - r[d] - own[d]) })
+            let is_on_wall = (0..4).any(|k| matches!(cell(i - k / 2, j - k % 2), Cell::Wall));
+            let most = 4.0 * ground.far * dx;
+            let particle = match is_on_wall {
+                true => places.inside + on_walls[to_walls.one(plane.wrapped(p), most)?.1],
+                false => to_particles.one(plane.wrapped(p), most)?.1,
+            };
+            Some(Corner { particle, shift: shift_to(&plane, places.place[particle], p) })
         };
         let mut pieces = vec![];
+        // Where lines end.
+        let mut ends: Vec<(usize, usize)> = vec![];
         let all = (0..count[0] as i64).flat_map(|i| (0..count[1] as i64).map(move |j| (i, j)));
         for (line, (i, j)) in (0..REACHES.len()).flat_map(|line| all.clone().map(move |cell| (line, cell))) {
             if !is_in(line, i, j) {
@@ -202,27 +317,65 @@ impl Contour {
                 ((i - 1, j), (i, j + 1), (i, j)),
             ];
             for (beyond, from, to) in sides {
-                if is_in(line, beyond.0, beyond.1) {
+                if is_in(line, beyond.0, beyond.1) || matches!(cell(beyond.0, beyond.1), Cell::Wall) {
                     continue;
                 }
                 if let (Some(a), Some(b)) = (corner(from.0, from.1), corner(to.0, to.1)) {
                     if a != b {
                         pieces.push([a, b]);
+                        let on_walls = [a, b].into_iter().filter(|end| end.particle >= places.inside);
+                        ends.extend(on_walls.map(|end| (line, end.particle - places.inside)));
                     }
                 }
             }
         }
+        let middle: [f64; 2] = std::array::from_fn(|d| 0.5 * (from[d] + to[d]));
+        let off = 0.5 * step[0].min(step[1]);
+        let feet = on_walls.into_iter().filter_map(|k| {
+            let own = places.place[places.inside + k];
+            let (shift, normal) = (shift_to(&plane, own, middle), places.boundary[k].normal);
+            let [i, j] = std::array::from_fn(|d| {
+                let in_fluid = own[d] + shift[d] + off * normal[d] - low[d];
+                (in_fluid / step[d]).floor() as i64 - first[d]
+            });
+            let within = |line: usize| match ends.contains(&(line, k)) {
+                // Half of the wall that the point stands for.
+                true => 0.5,
+                false => f64::from(u8::from(is_in(line, i, j))),
+            };
+            let share = SHARE * (0..REACHES.len()).map(within).sum::<f64>();
+            (share > 0.0).then_some(Foot { point: k, share, shift })
+        });
+        let feet: Vec<Foot> = feet.collect();
+        let turn = |shape: &usize| {
+            let on = feet.iter().map(|foot| &places.boundary[foot.point]);
+            let normals = on.filter(|point| point.on.is_some_and(|(own, _)| own == *shape)).map(|point| point.normal);
+            let angles = normals.scan(None, |first: &mut Option<[f64; 2]>, n| {
+                let first = *first.get_or_insert(n);
+                Some((first[0] * n[1] - first[1] * n[0]).atan2(first[0] * n[0] + first[1] * n[1]))
+            });
+            let [least, most] = angles.fold([0.0f64; 2], |[least, most], angle| [least.min(angle), most.max(angle)]);
+            most - least
+        };
+        if walls.shapes.iter().any(|shape| turn(shape) > TURN) {
+            return None;
+        }
         let origin = std::array::from_fn(|d| polygon.iter().map(|p| p[d]).sum::<f64>() / polygon.len() as f64);
-        Self { pieces, surface, origin, in_time }
+        Some(Self { pieces, surface, feet, origin, in_time })
     }
 
     pub fn is_steady(&self) -> bool {
         !self.in_time
     }
 
+    /// The points of walls that the shape stands on, which close the line.
+    pub fn feet(&self) -> &[Foot] {
+        &self.feet
+    }
+
     /// The particles that the line goes through.
     pub fn particles(&self) -> impl Iterator<Item = usize> + '_ {
-        self.pieces.iter().map(|[a, _]| a.particle)
+        self.pieces.iter().flatten().map(|corner| corner.particle)
     }
 
     fn points(at: &At<'_>, piece: [Corner; 2]) -> [Point; 2] {
@@ -280,6 +433,10 @@ impl Contour {
     /// The change of velocity in time at a corner.
     fn acceleration(at: &At<'_>, corner: Corner, body_force: [f64; 2]) -> [f64; 2] {
         let (i, nu) = (corner.particle, at.equations.viscosity);
+        // Walls on which lines end are at rest.
+        if i >= at.equations.inside {
+            return [0.0; 2];
+        }
         let ([u, v], dp) = (at.velocity(i), &at.d.0[2][i]);
         std::array::from_fn(|e| {
             let d = &at.d.0[e][i];
@@ -290,6 +447,9 @@ impl Contour {
 
     fn acceleration_back(at: &At<'_>, corner: Corner, of: [f64; 2], bar: &mut Bar) {
         let (i, nu) = (corner.particle, at.equations.viscosity);
+        if i >= at.equations.inside {
+            return;
+        }
         let [u, v] = at.velocity(i);
         if at.defect.is_some() {
             bar.defect.resize(at.equations.inside, [0.0; 2]);
@@ -342,6 +502,13 @@ impl Contour {
         std::array::from_fn(|d| p[d] - self.origin[d])
     }
 
+    /// The points that close the line, on the shape and on walls, with their places from the origin and their shares.
+    fn closing<'a>(&'a self, at: &'a At<'_>) -> impl Iterator<Item = (usize, [f64; 2], f64)> + 'a {
+        let own = self.surface.iter().map(|&k| (k, self.relative(at.place_on(k)), 1.0));
+        let feet = self.feet.iter().map(|foot| (foot.point, self.relative(foot.place(at)), foot.share));
+        own.chain(feet)
+    }
+
     /// Area and first moments of the fluid within the line, from the origin.
     fn moments(&self, at: &At<'_>) -> [f64; 3] {
         let mut sum = [0.0; 3];
@@ -353,8 +520,8 @@ impl Contour {
             sum[2] -= (a[1] * a[1] + a[1] * b[1] + b[1] * b[1]) / 6.0 * dx;
         }
         sum = sum.map(|x| SHARE * x);
-        for &k in &self.surface {
-            let (p, n) = (self.relative(at.place_on(k)), at.shaped.area[k]);
+        for (k, p, share) in self.closing(at) {
+            let n = at.shaped.area[k].map(|one| share * one);
             sum[0] -= 0.5 * (p[0] * n[0] + p[1] * n[1]);
             sum[1] -= 0.5 * p[0] * p[0] * n[0];
             sum[2] -= 0.5 * p[1] * p[1] * n[1];
@@ -362,7 +529,8 @@ impl Contour {
         sum
     }
 
-    /// Force on the body along x and y, and its torque about a centre, given the body force. (The torque is that of a steady flow.)
+    /// Force on all within the line along x and y, on the shape and on its [`feet`](Self::feet), and their torque about a centre, given the
+    /// body force. (The torque is that of a steady flow.)
     pub fn force(&self, at: &At<'_>, body_force: [f64; 2], centre: [f64; 2]) -> [f64; 3] {
         let [x, y, torque] = self.through(at, body_force, centre);
         let [fx, fy] = body_force;
@@ -468,16 +636,16 @@ impl Contour {
             bar.position[1][j] +=
                 0.5 * weight[0] * a[0] + weight[1] * square(0) - weight[2] * (a[1] + 2.0 * b[1]) / 6.0 * dx;
         }
-        for &k in &self.surface {
-            let (p, n) = (self.relative(at.place_on(k)), at.shaped.area[k]);
+        for (k, p, share) in self.closing(at) {
             for d in 0..2 {
-                bar.position[d][at.on(k)] -= 0.5 * of[0] * n[d] + of[1 + d] * p[d] * n[d];
-                bar.boundary[k].area[d] -= 0.5 * of[0] * p[d] + 0.5 * of[1 + d] * p[d] * p[d];
+                let n = at.shaped.area[k][d];
+                bar.position[d][at.on(k)] -= share * (0.5 * of[0] + of[1 + d] * p[d]) * n;
+                bar.boundary[k].area[d] -= share * (0.5 * of[0] * p[d] + 0.5 * of[1 + d] * p[d] * p[d]);
             }
         }
     }
 
-    /// The heat that the body gives to the fluid, per density and heat capacity.
+    /// The heat that all within the line gives to the fluid, the shape and its [`feet`](Self::feet), per density and heat capacity.
     pub fn heat(&self, at: &At<'_>) -> f64 {
         let alpha = at.equations.diffusivity.unwrap_or(0.0);
         let of = |piece: &[Corner; 2]| -> f64 {

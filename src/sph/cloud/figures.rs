@@ -2,7 +2,7 @@
 //!
 //! On a wall with normal n into the fluid the fluid's traction is t = -p n + nu (grad u + grad u^T) n and the heat that the
 //! wall gives is -alpha n . grad T (times density and heat capacity). Sums of these over a shape's points are its *surface*
-//! figures. Those of a body in a steady flow are told by *balance*, on a line around it ([`super::contour`]), which is more accurate
+//! figures. In a steady flow they are told by *balance*, on a line around the shape ([`super::contour`]), which is more accurate
 //! by far. They are what is reported and differentiated (a designer finds the errors of the surface's). Where nothing flows in or out,
 //! other walls leave no doubt of the sums,
 //!
@@ -10,7 +10,7 @@
 //!   sum of forces = f area - sum_rest t length,   sum of heat = sum_rest alpha n . grad T length,
 //! ```
 //!
-//! and bodies share what their lines differ from them by, in proportion to their perimeters.
+//! and shapes share what their lines differ from them by, in proportion to their lengths.
 
 use super::contour::Contour;
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, Warmth};
@@ -74,12 +74,12 @@ pub struct Measures {
     wall_fits: Vec<Option<WallFit>>,
     /// Indices of boundary points by shape.
     points: Vec<Vec<usize>>,
-    /// Boundary points that belong to no body.
+    /// Boundary points of no body and of no shape with a line.
     rest: Vec<usize>,
-    /// The line around each shape that is a body; none where figures are not balanced.
+    /// The line around each shape that is in the fluid; none where figures are not balanced.
     contours: Vec<Option<Contour>>,
-    /// Share of each shape in what the lines' forces and heat differ from the sums of all by; 0 of those that are no bodies, and where these are
-    /// not known.
+    /// Share of each shape in what the lines' forces and heat differ from the sums of all by; 0 of those without a line, and where these sums
+    /// are not known.
     share: Vec<f64>,
     has_corners: Vec<bool>,
     inside: usize,
@@ -94,25 +94,26 @@ impl Measures {
         let (plane, places) = (cloud.ground.plane, &cloud.places);
         let shapes = cloud.ground.outlines.len();
         let mut points = vec![vec![]; shapes];
-        let mut rest = vec![];
         for (k, point) in places.boundary.iter().enumerate() {
             if let Some(shape) = cloud.shape_at(point, places.place[point.particle]) {
                 points[shape].push(k);
             }
-            if !point.on.is_some_and(|(shape, _)| places.bodies.contains(&shape)) {
-                rest.push(k);
-            }
         }
+        let in_time = settings.balanced == Balanced::Momentum;
         let contours = (0..shapes).map(|shape| {
-            let is_told = match settings.balanced {
-                Balanced::All => true,
-                Balanced::Momentum => !breathes(cloud, &points[shape]),
-                Balanced::Nothing => false,
-            };
-            let line = || Contour::around(cloud, shape, points[shape].clone(), settings.balanced == Balanced::Momentum);
-            (is_told && places.bodies.contains(&shape)).then(line)
+            let is_told = settings.balanced != Balanced::Nothing && places.touching.contains(&shape);
+            let line = is_told.then(|| Contour::around(cloud, shape, points[shape].clone(), in_time)).flatten()?;
+            let feet: Vec<usize> = line.feet().iter().map(|foot| foot.point).collect();
+            let is_known =
+                !in_time || !(breathes(cloud, &points[shape]) || breathes(cloud, &feet) || leaves(cloud, &feet));
+            is_known.then_some(line)
         });
-        let contours = contours.collect();
+        let contours: Vec<Option<Contour>> = contours.collect();
+        let mut is_rest = vec![true; places.boundary.len()];
+        for shape in (0..shapes).filter(|shape| contours[*shape].is_some() || places.bodies.contains(shape)) {
+            points[shape].iter().for_each(|&k| is_rest[k] = false);
+        }
+        let rest = (0..is_rest.len()).filter(|&k| is_rest[k]).collect::<Vec<_>>();
         let length = |shape: usize| -> f64 {
             let outline = &cloud.ground.outlines[shape];
             let on = |k: &usize| {
@@ -122,10 +123,10 @@ impl Measures {
             };
             points[shape].iter().map(on).sum()
         };
-        let total: f64 = places.bodies.iter().map(|&body| length(body)).sum();
+        let total: f64 = (0..shapes).filter(|&shape| contours[shape].is_some()).map(length).sum();
         // Where the rest is coarser than the surroundings of bodies (`resolution.far`), these know better.
         let is_fine = rest.iter().all(|&k| places.spacing[places.boundary[k].particle] < 1.5 * cloud.ground.dx);
-        let is_shared = |shape: usize| settings.balanced == Balanced::All && is_fine && places.bodies.contains(&shape);
+        let is_shared = |shape: usize| settings.balanced == Balanced::All && is_fine && contours[shape].is_some();
         let share = (0..shapes).map(|k| if is_shared(k) { length(k) / total } else { 0.0 }).collect();
         let [low, high] = places.corners;
         // In the middle between lattice columns nothing is exact; a column is as good as any place in between.
@@ -326,7 +327,7 @@ impl Measures {
         self.points[shape].iter().map(of).fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most })
     }
 
-    /// The line that tells the force of a shape: of a body without buoyancy, whose sum over the fluid is not known.
+    /// The line that tells the force of a shape: without buoyancy, whose sum over the fluid is not known.
     fn line_of_force(&self, at: &At<'_>, shape: usize) -> Option<&Contour> {
         self.contours[shape].as_ref().filter(|_| at.equations.buoyancy.is_none())
     }
@@ -364,7 +365,7 @@ impl Measures {
         Self::body_force(at)[e] * self.area(at) - self.rest.iter().map(|&k| self.push(at, k, e)).sum::<f64>()
     }
 
-    /// The line that tells the torque: of a body with corners. (With others a sum over the surface is more accurate, for its arms are shorter:
+    /// The line that tells the torque: of a shape with corners. (With others a sum over the surface is more accurate, for its arms are shorter:
     /// in 35 channels at random 0.05 instead of 0.13 % of drag times radius in the middle.)
     fn line_of_torque(&self, at: &At<'_>, shape: usize) -> Option<&Contour> {
         self.line_of_force(at, shape).filter(|line| line.is_steady() && self.has_corners[shape])
@@ -372,6 +373,53 @@ impl Measures {
 
     fn line_of_heat(&self, shape: usize) -> Option<&Contour> {
         self.contours[shape].as_ref().filter(|line| line.is_steady())
+    }
+
+    /// Force and torque of a shape by a line around it.
+    fn force_by(&self, line: &Contour, at: &At<'_>, shape: usize) -> [f64; 3] {
+        let centre = at.shaped.centre[shape];
+        let mut sum = line.force(at, Self::body_force(at), centre);
+        for foot in line.feet() {
+            let [x, y] = [0, 1].map(|e| foot.share * self.push(at, foot.point, e));
+            let r = foot.place(at);
+            let torque = (r[0] - centre[0]) * y - (r[1] - centre[1]) * x;
+            (sum[0], sum[1], sum[2]) = (sum[0] - x, sum[1] - y, sum[2] - torque);
+        }
+        sum
+    }
+
+    /// Adds the cotangents of [`Self::force_by`], given those of its three numbers.
+    fn force_by_back(&self, line: &Contour, at: &At<'_>, shape: usize, weight: [f64; 3], bar: &mut Bar) {
+        let centre = at.shaped.centre[shape];
+        let [of_force, mut of_centre] = line.force_back(at, Self::body_force(at), centre, weight, bar);
+        for foot in line.feet() {
+            let (k, share, r) = (foot.point, foot.share, foot.place(at));
+            let arm = [r[0] - centre[0], r[1] - centre[1]];
+            let of_push = [weight[0] - weight[2] * arm[1], weight[1] + weight[2] * arm[0]];
+            self.push_back(at, k, of_push.map(|one| -share * one), bar);
+            let [x, y] = [0, 1].map(|e| share * weight[2] * self.push(at, k, e));
+            for (d, of) in [-y, x].into_iter().enumerate() {
+                bar.position[d][at.on(k)] += of;
+                of_centre[d] -= of;
+            }
+        }
+        bar.drive += of_force[0];
+        bar.add_centre(shape, of_centre);
+    }
+
+    /// The heat that a shape gives by a line around it.
+    fn heat_by(&self, line: &Contour, at: &At<'_>) -> f64 {
+        line.heat(at) - line.feet().iter().map(|foot| foot.share * self.warmth(at, foot.point)).sum::<f64>()
+    }
+
+    fn heat_by_back(&self, line: &Contour, at: &At<'_>, weight: f64, bar: &mut Bar) {
+        line.heat_back(at, weight, bar);
+        line.feet().iter().for_each(|foot| self.warmth_back(at, foot.point, -weight * foot.share, bar));
+    }
+
+    /// The shapes whose figures lines tell.
+    fn lines(&self) -> impl Iterator<Item = (usize, &Contour)> {
+        self.contours.iter().enumerate().filter_map(|(shape, line)| Some((shape, line.as_ref()?)))
     }
 
     pub fn value(&self, figure: Figure, at: &At<'_>) -> f64 {
@@ -382,27 +430,26 @@ impl Measures {
             }
             Figure::Force { shape, along } => match self.line_of_force(at, shape) {
                 Some(line) => {
-                    let of = |line: &Contour| line.force(at, Self::body_force(at), at.shaped.centre[shape])[along];
-                    let lines = || self.contours.iter().flatten().map(of).sum::<f64>();
+                    let lines = || self.lines().map(|(other, line)| self.force_by(line, at, other)[along]).sum::<f64>();
                     let share = self.share(at, shape);
                     let rest = if share == 0.0 { 0.0 } else { self.sum_of_forces(at, along) - lines() };
-                    of(line) + share * rest
+                    self.force_by(line, at, shape)[along] + share * rest
                 }
                 None => self.surface_force(at, shape, along),
             },
             Figure::Heat { shape } => match self.line_of_heat(shape) {
                 Some(line) => {
-                    let lines = || self.contours.iter().flatten().map(|line| line.heat(at)).sum::<f64>();
+                    let lines = || self.lines().map(|(_, line)| self.heat_by(line, at)).sum::<f64>();
                     let share = self.share_of_heat(at, shape);
                     let rest = if share == 0.0 { 0.0 } else { self.sum_of_heat(at) - lines() };
-                    line.heat(at) + share * rest
+                    self.heat_by(line, at) + share * rest
                 }
                 None => self.surface_heat(at, shape),
             },
             Figure::Torque { shape } => {
                 let c = at.shaped.centre[shape];
                 if let Some(line) = self.line_of_torque(at, shape) {
-                    return line.force(at, Self::body_force(at), c)[2];
+                    return self.force_by(line, at, shape)[2];
                 }
                 let of = |&k: &usize| {
                     let p = at.place_on(k);
@@ -459,13 +506,6 @@ impl Measures {
         u[0] * self.push(at, k, 0) + u[1] * self.push(at, k, 1) + carried
     }
 
-    /// Adds the cotangents of force and torque of a shape, given those of its three numbers.
-    fn line_back(line: &Contour, at: &At<'_>, shape: usize, weight: [f64; 3], bar: &mut Bar) {
-        let [of_force, of_centre] = line.force_back(at, Self::body_force(at), at.shaped.centre[shape], weight, bar);
-        bar.drive += of_force[0];
-        bar.add_centre(shape, of_centre);
-    }
-
     /// Adds the cotangents of a figure times `weight`.
     pub fn pull_back(&self, figure: Figure, at: &At<'_>, weight: f64, bar: &mut Bar) {
         match figure {
@@ -481,13 +521,13 @@ impl Measures {
             }
             Figure::Force { shape, along } => match self.line_of_force(at, shape) {
                 Some(line) => {
-                    Self::line_back(line, at, shape, unit(along, weight), bar);
+                    self.force_by_back(line, at, shape, unit(along, weight), bar);
                     let weight = weight * self.share(at, shape);
                     if weight == 0.0 {
                         return;
                     }
-                    for line in self.contours.iter().flatten() {
-                        Self::line_back(line, at, shape, unit(along, -weight), bar);
+                    for (other, line) in self.lines() {
+                        self.force_by_back(line, at, other, unit(along, -weight), bar);
                     }
                     self.rest.iter().for_each(|&k| self.push_back(at, k, unit(along, -weight), bar));
                     self.area_back(at, weight * Self::body_force(at)[along], bar);
@@ -499,10 +539,10 @@ impl Measures {
             },
             Figure::Heat { shape } => match self.line_of_heat(shape) {
                 Some(line) => {
-                    line.heat_back(at, weight, bar);
+                    self.heat_by_back(line, at, weight, bar);
                     let weight = weight * self.share_of_heat(at, shape);
                     if weight != 0.0 {
-                        self.contours.iter().flatten().for_each(|line| line.heat_back(at, -weight, bar));
+                        self.lines().for_each(|(_, line)| self.heat_by_back(line, at, -weight, bar));
                         self.rest.iter().for_each(|&k| self.warmth_back(at, k, -weight, bar));
                     }
                 }
@@ -510,7 +550,7 @@ impl Measures {
             },
             Figure::Torque { shape } => {
                 if let Some(line) = self.line_of_torque(at, shape) {
-                    Self::line_back(line, at, shape, [0.0, 0.0, weight], bar);
+                    self.force_by_back(line, at, shape, [0.0, 0.0, weight], bar);
                     return;
                 }
                 for &k in &self.points[shape] {
@@ -565,6 +605,15 @@ impl Measures {
             }
         }
     }
+}
+
+/// Whether fluid leaves the box at any of these points.
+fn leaves(cloud: &Cloud, points: &[usize]) -> bool {
+    let numbers: Vec<Vec<f64>> = cloud.ground.outlines.iter().map(|outline| outline.numbers.clone()).collect();
+    points.iter().map(|&k| &cloud.places.boundary[k]).any(|point| {
+        let place = cloud.places.place[point.particle];
+        matches!(cloud.surroundings.condition(point, place, 0.0, &numbers).0, Motion::Outflow(_))
+    })
 }
 
 /// Whether fluid goes through the surface of a shape, by formulas that have the time.

@@ -88,6 +88,8 @@ const OFF_SIDES: f64 = 0.5;
 const TOUCH: f64 = 1e-9;
 /// Samples of the spacing along a side that a surface meets, per cell of the lattice.
 const SAMPLES: usize = 4;
+/// Places between two points of a side at which there may be a wall.
+const BETWEEN: usize = 64;
 /// Spacing on a surface in its radius of curvature.
 const PER_RADIUS: f64 = 0.55;
 
@@ -154,6 +156,11 @@ impl Ground {
         (0..polygons.len()).rev().filter(|&k| Some(k) != except).find(|&k| polygons[k].covers(&self.plane, p))
     }
 
+    /// Whether a place is out of the box, or inside any polygon but that of `except`.
+    pub fn is_solid(&self, polygons: &[Polygon], p: [f64; 2], except: usize) -> bool {
+        self.depth(p) < 0.0 || self.is_in_wall(polygons, p, Some(except)).is_some()
+    }
+
     /// How far a place is from the sides of the box; negative outside.
     fn depth(&self, p: [f64; 2]) -> f64 {
         let Plane { size, periodic } = self.plane;
@@ -197,16 +204,20 @@ impl Ground {
         let mut contacts: Vec<Contact> = vec![];
         for (k, (samples, points)) in fine.iter().enumerate() {
             let is_free = |p: [f64; 2]| self.is_in_box(p) && self.is_in_wall(&polygons, p, Some(k)).is_none();
-            // A wall that reaches out of a periodic box is there once.
-            let in_period = |p: [f64; 2]| (0..2).all(|d| p[d] >= -TOUCH * dx && p[d] < plane.size[d] - TOUCH * dx);
             let [low, high] = polygons[k].bounds();
             let longer = |d: usize| if plane.periodic[d] { high[d] - low[d] - plane.size[d] } else { -plane.size[d] };
+            // A wall as long as a period, or longer, is there once. Shorter ones may go through its ends.
+            let in_period = |p: [f64; 2]| {
+                let is_once = |d: usize| p[d] >= -TOUCH * dx && p[d] < plane.size[d] - TOUCH * dx;
+                (0..2).all(|d| longer(d) < -TOUCH * dx || is_once(d))
+            };
             let is_free_all = points.iter().all(|point| is_free(point.place));
             // Its ends would meet.
             if is_free_all && (0..2).any(|d| longer(d).abs() <= TOUCH * dx) {
                 return Err(Unplaceable::Narrow { shape: k, width: 0.0 });
             }
-            let whole = is_free_all && (0..2).all(|d| longer(d) < 0.0);
+            let is_short = (0..2).all(|d| longer(d) < -TOUCH * dx);
+            let whole = is_free_all && is_short;
             let free: Vec<bool> =
                 points.iter().map(|point| is_free(point.place) && (whole || in_period(point.place))).collect();
             if !free.iter().any(|&free| free) {
@@ -220,7 +231,7 @@ impl Ground {
                     let on = outline.points(&[t], &outline.numbers)[0];
                     let normal = outward(on.along);
                     let point = BoundaryPoint { particle: 0, on: Some((k, t)), weight: dt, normal, side: None };
-                    surface.push((point, if whole { on.place } else { plane.wrapped(on.place) }, h));
+                    surface.push((point, if is_short { on.place } else { plane.wrapped(on.place) }, h));
                 }
             };
             if whole {
@@ -579,27 +590,37 @@ impl Ground {
                 (false, 1) => on.push((all, spacing[spacing.len() - 1])),
                 (false, _) => drop(on.remove(0)),
             }
+            let is_wall = |k: f64| {
+                let p = place(k);
+                self.is_in_wall(polygons, [p[0] + inner * normal[0], p[1] + inner * normal[1]], None).is_some()
+            };
+            on.retain(|&(k, _)| {
+                let is_end = !periodic[e] && (k == 0.0 || k == all);
+                let near_wall = surface.iter().any(|(point, there, own)| {
+                    point.on.is_some() && self.plane.distance(*there, place(k)) < 0.5 * own.min(self.dx)
+                });
+                !near_wall && (is_end || !is_wall(k))
+            });
+            // Half of the way to both neighbours; where there is a wall in between all of the way to it, as without a corner.
+            let until = |from: f64, to: f64, share: f64| {
+                let at = |step: usize| from + (to - from) * step as f64 / BETWEEN as f64;
+                match (1..BETWEEN).find(|&step| is_wall(at(step))) {
+                    Some(step) => end_of(at(step - 1), at(step), &|k| !is_wall(k)),
+                    None => from + share * (to - from),
+                }
+            };
             for (n, &(k, h)) in on.iter().enumerate() {
                 let p = place(k);
-                let just = [p[0] + inner * normal[0], p[1] + inner * normal[1]];
-                let is_end = !periodic[e] && (k == 0.0 || k == all);
-                let near_wall = surface.iter().any(|(point, place, h)| {
-                    point.on.is_some() && self.plane.distance(*place, p) < 0.5 * h.min(self.dx)
-                });
-                if near_wall || (!is_end && self.is_in_wall(polygons, just, None).is_some()) {
-                    continue;
-                }
-                // Half of the way to both neighbours; without a corner all of the way to it.
                 let [first, last] = [on[0].0, on[on.len() - 1].0];
                 let before = match n {
-                    0 if periodic[e] => 0.5 * (last - all + k),
-                    0 => 0.0,
-                    _ => 0.5 * (on[n - 1].0 + k),
+                    0 if periodic[e] => until(k, last - all, 0.5),
+                    0 => until(k, 0.0, 1.0),
+                    _ => until(k, on[n - 1].0, 0.5),
                 };
                 let after = match on.get(n + 1) {
-                    Some(&(next, _)) => 0.5 * (next + k),
-                    None if periodic[e] => 0.5 * (first + all + k),
-                    None => all,
+                    Some(&(next, _)) => until(k, next, 0.5),
+                    None if periodic[e] => until(k, first + all, 0.5),
+                    None => until(k, all, 1.0),
                 };
                 let point = BoundaryPoint {
                     particle: 0,
