@@ -1128,11 +1128,10 @@ fn a_floor_may_be_shaped_between_its_ends() {
     let sets = ["resolution.dx=0.05".to_string()];
     let config = Config::load(Some("shaped-floor"), None, &sets).unwrap().config;
     assert_derivatives(&config, &[0, 2], 1e-7);
-    // A point near a side takes the end along.
-    let mut wrong = config.clone();
-    wrong.variables[0].number = "shapes[0].points[6][1]".into();
-    let error = AroundShapes::new(&wrong).err().unwrap().to_string();
-    assert!(error.contains("points[6][1]") && error.contains("leave their ends in place"), "{error}");
+    // A point near a side takes the end along, which slides on the side.
+    let mut sliding = config.clone();
+    sliding.variables[0].number = "shapes[0].points[6][1]".into();
+    assert_derivatives(&sliding, &[0], 1e-7);
 }
 
 #[test]
@@ -1293,8 +1292,9 @@ fn a_plate_that_divides_a_channel_has_the_drag_of_two() {
     assert!((drag / known - 1.0).abs() < 0.02, "{drag}, known {known}");
 }
 
-/// The heat and the drag of a fin on a side of a channel, by lines that end on the side, beside finer clouds (dx = 0.01 has 0.18022 and 1.1846);
-/// by its surface they are 11 and 3 % less, since flux and pressure are singular at its corners.
+/// The heat and the drag of a fin on a side of a channel, by lines that end on the side, beside finite elements (Taylor-Hood of second order as
+/// in `scripts/bodies_fem.py`, on a mesh that is finer by far at the corners); by its surface they are 11 and 3 % less, since flux and pressure
+/// are singular at its corners.
 #[test]
 fn a_line_from_side_to_side_tells_the_figures_of_a_fin() {
     let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.04\ninitial.temperature = 0.0\n\
@@ -1310,7 +1310,7 @@ fn a_line_from_side_to_side_tells_the_figures_of_a_fin() {
     let (own_heat, own_drag) =
         (around.flow.measures.surface_heat(&at, 0), around.flow.measures.surface_force(&at, 0, 0));
     println!("heat {heat} ({own_heat} by its surface), drag {drag} ({own_drag})");
-    assert!((heat / 0.18022 - 1.0).abs() < 0.006 && (drag / 1.1846 - 1.0).abs() < 0.003, "{heat} {drag}");
+    assert!((heat / 0.18019 - 1.0).abs() < 0.006 && (drag / 1.18725 - 1.0).abs() < 0.005, "{heat} {drag}");
     assert!(own_heat < 0.92 * heat && own_drag < 0.98 * drag);
 }
 
@@ -1360,6 +1360,94 @@ fn the_derivative_of_what_a_line_to_a_side_tells_is_that_of_differences() {
             loaded(&text.replace("objective.shapes", &format!("objective.kind = \"{kind}\"\nobjective.shapes")));
         assert_derivatives(&config, &[0, 1], 1e-7);
     }
+}
+
+/// How far fins are from each other is told, from where they are in the fluid: a gap of three spacings is a warning, and the floor is none.
+#[test]
+fn a_narrow_gap_between_fins_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let warnings = |gap: f64| {
+        let from = 0.5 + gap;
+        let text = format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.04\nfluid.viscosity = 0.05\n\
+             region.size = [1.2, 0.6]\nregion.periodic = [true, false]\nregion.acceleration = [1.0, 0.0]\n\
+             [[shapes]]\nkind = \"polygon\"\npoints = [[0.3, -0.5], [0.6, -0.5], [0.5, 0.0], [0.5, 0.3], [0.4, 0.3]]\n\
+             [[shapes]]\nkind = \"box\"\nlower = [{from}, -0.3]\nupper = [{}, 0.25]\n",
+            from + 0.1
+        );
+        let file = folder.path().join("fins.toml");
+        std::fs::write(&file, text).unwrap();
+        let out = folder.path().join(format!("{gap}"));
+        let mut command = assert_cmd::Command::cargo_bin("hydrograd").unwrap();
+        command.arg("simulate").arg(&file).arg("--out").arg(&out).assert().success();
+        let summary = std::fs::read_to_string(out.join("summary.json")).unwrap();
+        let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+        summary["warnings"].as_array().unwrap().iter().find(|warning| warning["code"] == "narrow").cloned()
+    };
+    let narrow = warnings(0.12).unwrap();
+    assert!((narrow["value"].as_f64().unwrap() - 3.0).abs() < 0.05, "{narrow}");
+    assert_eq!(warnings(0.3), None);
+}
+
+/// A channel with an inflow, one shape in it, and as variables numbers of it.
+fn beside_an_inflow(shape: &str, variables: &[(&str, f64, f64)], kind: &str) -> Config {
+    let variable = |(number, lower, upper): &(&str, f64, f64)| {
+        format!("[[variables]]\nnumber = \"shapes[0].{number}\"\nlower = {lower}\nupper = {upper}\n")
+    };
+    loaded(&format!(
+        "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.05\ninitial.temperature = 0.0\n\
+         fluid.viscosity = 0.05\nfluid.conductivity = 0.05\nfluid.inlet_temperature = 0.0\n\
+         region.size = [2.0, 1.0]\nregion.periodic = [false, false]\n\
+         region.sides.left = {{ kind = \"inflow\", velocity = [\"4*y*(1 - y)\", 0], temperature = \"0.3*y\" }}\n\
+         region.sides.right = {{ kind = \"outflow\" }}\nobjective.kind = \"{kind}\"\nobjective.shapes = [0]\n\
+         [[shapes]]\n{shape}\ntemperature = 1.0\n{}",
+        variables.iter().map(variable).collect::<String>()
+    ))
+}
+
+/// Numbers that move the ends of a wall along the sides that it stands on are variables like others: a box, an oblique fin, a bump, and a
+/// plate that moves along an inflow, whose profile depends on the place.
+#[test]
+fn ends_of_walls_slide_along_sides() {
+    let fin = "kind = \"box\"\nlower = [0.65, -0.3]\nupper = [0.8, 0.4]";
+    let numbers = [("upper[1]", 0.3, 0.5), ("lower[0]", 0.6, 0.7), ("upper[0]", 0.75, 0.9)];
+    assert_derivatives(&beside_an_inflow(fin, &numbers, "drag"), &[0, 1, 2], 1e-7);
+    assert_derivatives(&beside_an_inflow(fin, &numbers, "shape-heat"), &[0, 1, 2], 1e-7);
+    let oblique = "kind = \"polygon\"\npoints = [[0.6, -0.2], [0.9, -0.2], [1.0, 0.45], [0.85, 0.45]]";
+    let numbers = [("points[2][0]", 0.95, 1.2), ("points[1][0]", 0.8, 1.0)];
+    assert_derivatives(&beside_an_inflow(oblique, &numbers, "lift"), &[0, 1], 1e-7);
+    let bump = "kind = \"disc\"\ncentre = [0.7, 0.1]\nradius = 0.25";
+    let numbers = [("centre[0]", 0.6, 0.8), ("centre[1]", 0.0, 0.2), ("radius", 0.2, 0.3)];
+    assert_derivatives(&beside_an_inflow(bump, &numbers, "torque"), &[0, 1, 2], 1e-7);
+    let plate = "kind = \"box\"\nlower = [-0.3, 0.45]\nupper = [0.4, 0.6]";
+    assert_derivatives(&beside_an_inflow(plate, &[("upper[1]", 0.55, 0.65)], "drag"), &[0], 1e-7);
+}
+
+/// The derivative while particles follow the shape is that of clouds placed anew, also where the side is hot in part, which stays as it is.
+#[test]
+fn the_derivative_by_the_ends_is_that_of_new_clouds() {
+    let text = |from: f64, height: f64| {
+        format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\nresolution.dx = 0.025\ninitial.temperature = 0.0\n\
+             fluid.viscosity = 0.05\nfluid.conductivity = 0.05\nfluid.inlet_temperature = 0.0\n\
+             region.size = [2.0, 1.0]\nregion.periodic = [false, false]\nobjective.target_x = 2.0\n\
+             region.sides.left = {{ kind = \"inflow\", velocity = [\"4*y*(1 - y)\", 0], temperature = 0 }}\n\
+             region.sides.right = {{ kind = \"outflow\" }}\nobjective.kind = \"heat-outflow\"\n\
+             [[shapes]]\nkind = \"box\"\nlower = [0.4, -0.3]\nupper = [1.3, 0.0]\ntemperature = 1.0\n\
+             [[shapes]]\nkind = \"box\"\nlower = [{from}, -0.2]\nupper = [0.9, {height}]\ntemperature = 1.0\n\
+             [[variables]]\nnumber = \"shapes[1].lower[0]\"\nlower = 0.6\nupper = 0.85\n\
+             [[variables]]\nnumber = \"shapes[1].upper[1]\"\nlower = 0.2\nupper = 0.6\n"
+        )
+    };
+    let heat = |from: f64, height: f64| solved(&text(from, height)).0.objective(&solved(&text(from, height)).1).0;
+    let (mut around, solution) = solved(&text(0.75, 0.4));
+    let gradient = around.gradient(&solution, &around.objective(&solution).1).unwrap().by_variables;
+    let step = 0.05;
+    let new = [heat(0.75 + step, 0.4) - heat(0.75 - step, 0.4), heat(0.75, 0.4 + step) - heat(0.75, 0.4 - step)]
+        .map(|change| change / (2.0 * step));
+    println!("{gradient:?}, clouds placed anew {new:?}");
+    let length = gradient[0].hypot(gradient[1]);
+    assert!((0..2).all(|k| (gradient[k] - new[k]).abs() < 0.03 * length));
 }
 
 /// A disc that turns back and forth in a channel with a pulsating inflow, warm, with buoyancy.

@@ -11,6 +11,7 @@ use crate::numerics::grid_field::GridVelocity;
 use crate::numerics::threads;
 use crate::particles::tag;
 use crate::sph::cloud::conditions::Conditions as _;
+use crate::sph::cloud::contour::Walls;
 use crate::sph::cloud::equations::{Motion, Warmth};
 use crate::sph::cloud::figures::{Balanced, MeasureSettings};
 use crate::sph::cloud::nearest::{Nearest, Plane};
@@ -24,6 +25,8 @@ use std::sync::Arc;
 
 /// Growth of the spacing far from bodies, per distance.
 const GROWTH: f64 = 0.15;
+/// Differences of parameters of outlines that are none.
+const ROUNDING: f64 = 1e-9;
 /// Corners are rounded to this radius, in spacings of the surface. (Around a triangle with dx = 0.02 the flow rate is 2.5, 1.2, 0.5 and 0.3 %
 /// off with 1, 1/2, 1/4 and 1/8.)
 const ROUNDED: f64 = 0.125;
@@ -94,8 +97,10 @@ impl Surroundings for Conditions {
         self.polygons.iter().rposition(|polygon| polygon.covers(&self.plane, behind))
     }
 
-    fn varies(&self, shape: usize) -> bool {
-        self.shapes[shape].varies()
+    fn varies(&self, point: &BoundaryPoint, place: [f64; 2]) -> bool {
+        let on_side = point.side.and_then(|side| self.sides[side].as_ref()).map(|(_, wall)| wall);
+        let shape = point.on.map(|on| on.0).or_else(|| self.shape_behind(point, place));
+        shape.map(|shape| &self.shapes[shape]).or(on_side).is_some_and(OnWall::varies)
     }
 
     fn has_time(&self) -> bool {
@@ -234,11 +239,11 @@ impl AroundShapes {
             {
                 let key = format!("variables[{k}].number");
                 let problem = format!(
-                    "{key} = \"{}\": the shape touches another wall, or reaches out of the box, and this number moves its surface there",
+                    "{key} = \"{}\": the shape stands on another shape, and this number moves its surface there",
                     config.variables[k].number
                 );
                 return Err(BadInput::at(&key, problem)
-                    .allowed("numbers of shapes that stand in the fluid, and those of other shapes that leave their ends in place (points of a b-spline far from these)")
+                    .allowed("numbers of shapes that stand in the fluid or on sides of the box, and those that leave ends on other shapes in place (points of a b-spline far from these)")
                     .advice("method.name=consistent")
                     .into());
             }
@@ -288,7 +293,14 @@ impl AroundShapes {
         let chosen: Vec<usize> =
             if shapes.is_empty() { self.flow.cloud.places.bodies.clone() } else { shapes.to_vec() };
         let mut by_variables = vec![0.0; self.wanted.len()];
-        let fine: Vec<Vec<f64>> = outlines.iter().map(|outline| outline.samples(24)).collect();
+        // Walls may be longer by far than the box.
+        let samples = |k: usize| {
+            let polygon = &self.flow.cloud.places.polygons[k];
+            let is_body = self.flow.cloud.places.bodies.contains(&k);
+            let most = if is_body { 24.0 } else { polygon.perimeter() / self.flow.cloud.ground.dx };
+            outlines[k].samples((most as usize).clamp(24, 400))
+        };
+        let fine: Vec<Vec<f64>> = (0..outlines.len()).map(samples).collect();
         let points: Vec<_> = (0..outlines.len()).map(|k| outlines[k].points(&fine[k], &numbers[k])).collect();
         match kind {
             ObjectiveKind::Area => {
@@ -300,14 +312,22 @@ impl AroundShapes {
                 Some(Judged { value: chosen.iter().map(|&k| area(&points[k]).abs()).sum(), by_variables })
             }
             ObjectiveKind::Distance => {
-                let (plane, corners) = (self.flow.cloud.ground.plane, self.flow.cloud.places.corners);
+                let Cloud { ground, places, .. } = &self.flow.cloud;
+                let (plane, corners) = (ground.plane, places.corners);
+                let chosen = if shapes.is_empty() { &places.touching } else { &chosen };
+                // What stands on walls is there as far as it is in the fluid.
+                let is_there = |shape: usize, p: [f64; 2]| {
+                    places.bodies.contains(&shape) || !ground.is_solid(&places.polygons, p, shape)
+                };
                 // The nearest pair: (distance, direction from a to b, a, b or none for a side).
                 type Nearest = (f64, [f64; 2], (usize, usize), Option<(usize, usize)>);
                 let mut nearest: Nearest = (f64::INFINITY, [0.0; 2], (0, 0), None);
-                for &a in &chosen {
-                    for (i, p) in points[a].iter().enumerate() {
+                for &a in chosen {
+                    let walls = Walls::of(&self.flow.cloud, a);
+                    for (i, p) in points[a].iter().enumerate().filter(|(_, p)| is_there(a, p.place)) {
                         for d in (0..2).filter(|&d| !plane.periodic[d]) {
-                            for (end, sign) in [(0, -1.0), (1, 1.0)] {
+                            let sides = [(0, -1.0), (1, 1.0)].into_iter();
+                            for (end, sign) in sides.filter(|(end, _)| !walls.sides.contains(&(2 * d + end))) {
                                 let distance = sign * (corners[end][d] - p.place[d]);
                                 if distance < nearest.0 {
                                     let direction = std::array::from_fn(|e| if e == d { sign } else { 0.0 });
@@ -315,11 +335,12 @@ impl AroundShapes {
                                 }
                             }
                         }
-                        for b in (0..points.len()).filter(|&b| b != a && self.flow.cloud.places.bodies.contains(&b)) {
+                        let others = places.touching.iter().filter(|&b| *b != a && !walls.shapes.contains(b));
+                        for &b in others {
                             for (j, q) in points[b].iter().enumerate().step_by(2) {
                                 let r = plane.between(p.place, q.place);
                                 let distance = r[0].hypot(r[1]);
-                                if distance < nearest.0 {
+                                if distance < nearest.0 && is_there(b, q.place) {
                                     nearest = (distance, r.map(|x| x / distance), (a, i), Some((b, j)));
                                 }
                             }
@@ -391,7 +412,8 @@ fn place_of(cloud: &Cloud, number: &ShapeNumber) -> Option<(usize, usize)> {
 fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
     let Cloud { ground, places, .. } = cloud;
     let outline = &ground.outlines[shape];
-    let slopes = outline.slopes(&outline.samples(24), &outline.numbers, number);
+    let samples = outline.samples(24);
+    let slopes = outline.slopes(&samples, &outline.numbers, number);
     let is_free = |p: [f64; 2]| {
         let is_in = (0..2).all(|d| ground.plane.periodic[d] || (0.0..=ground.plane.size[d]).contains(&p[d]));
         is_in && ground.is_in_wall(&places.polygons, p, Some(shape)).is_none()
@@ -399,7 +421,16 @@ fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
     let free: Vec<bool> = slopes.iter().map(|on| is_free(on.place.map(|x| x.value))).collect();
     let stays = |k: usize| slopes[k].place.iter().all(|x| x.slope.abs() < 1e-12);
     let next = |k: usize| (k + 1) % free.len();
-    (0..free.len()).filter(|&k| free[k] != free[next(k)]).all(|k| stays(k) && stays(next(k)))
+    // An end on a side slides along it.
+    let ends = places.stretches.iter().filter(|stretch| stretch.shape == shape).flat_map(|stretch| stretch.ends);
+    let sliding: Vec<f64> = ends.filter(|end| end.side.is_some()).map(|end| end.t.rem_euclid(1.0)).collect();
+    let slides = |k: usize| {
+        // A sample may be just where the end is.
+        let way = |t: f64| (t - samples[k] + ROUNDING).rem_euclid(1.0);
+        sliding.iter().any(|&t| way(t) <= way(samples[next(k)]) + ROUNDING)
+    };
+    let holds = |k: usize| slides(k) || stays(k) && stays(next(k));
+    (0..free.len()).filter(|&k| free[k] != free[next(k)]).all(holds)
 }
 
 /// What a configuration asks of figures.

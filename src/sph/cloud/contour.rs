@@ -27,6 +27,7 @@
 use super::equations::Bar;
 use super::nearest::{Nearest, Plane};
 use super::particles::{At, Cloud};
+use super::placing::{BoundaryPoint, Places};
 use super::traction::Patch;
 
 /// The largest distances of three lines from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no rounding
@@ -79,6 +80,7 @@ pub struct Contour {
     pieces: Vec<[Corner; 2]>,
     /// The points on the body, as indices of the boundary.
     surface: Vec<usize>,
+    /// What closes the line around a shape that stands on walls.
     feet: Vec<Foot>,
     /// A point within the body, or near it.
     origin: [f64; 2],
@@ -138,15 +140,15 @@ fn bounds(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
 }
 
 /// What a shape stands on.
-struct Walls {
+pub struct Walls {
     /// Sides of the box, see [`super::placing::BoundaryPoint::side`].
-    sides: Vec<usize>,
-    shapes: Vec<usize>,
+    pub sides: Vec<usize>,
+    pub shapes: Vec<usize>,
 }
 
 impl Walls {
     /// What a shape reaches into.
-    fn of(cloud: &Cloud, shape: usize) -> Self {
+    pub fn of(cloud: &Cloud, shape: usize) -> Self {
         let (plane, places) = (&cloud.ground.plane, &cloud.places);
         if places.bodies.contains(&shape) {
             return Self { sides: vec![], shapes: vec![] };
@@ -170,6 +172,19 @@ impl Walls {
     fn is_none(&self) -> bool {
         self.sides.is_empty() && self.shapes.is_empty()
     }
+}
+
+/// The angle by which normals at feet on a wall differ.
+fn turn(places: &Places, feet: &[Foot], wall: usize) -> f64 {
+    let on_wall =
+        feet.iter().map(|foot| &places.boundary[foot.point]).filter(|point| point.on.is_some_and(|on| on.0 == wall));
+    let normals: Vec<[f64; 2]> = on_wall.map(|point| point.normal).collect();
+    let angle = |n: &[f64; 2]| {
+        let first = normals[0];
+        (first[0] * n[1] - first[1] * n[0]).atan2(first[0] * n[0] + first[1] * n[1])
+    };
+    let [least, most] = normals.iter().map(angle).fold([0.0f64; 2], |[least, most], x| [least.min(x), most.max(x)]);
+    most - least
 }
 
 /// What is near a body.
@@ -234,133 +249,159 @@ impl Foot {
     }
 }
 
-impl Contour {
-    /// The line around a shape, given the points on its surface, in a flow that is steady or not. None around a shape that goes along a whole
-    /// period, and where walls that it stands on turn within the line: these would have the errors at corners that the line is for.
-    pub fn around(cloud: &Cloud, body: usize, surface: Vec<usize>, in_time: bool) -> Option<Self> {
+/// The cells of the lattice, or finer ones, around a shape.
+struct Grid {
+    cells: Vec<Cell>,
+    count: [usize; 2],
+    step: [f64; 2],
+    /// The corner of the first cell.
+    corner: [f64; 2],
+}
+
+impl Grid {
+    fn new(cloud: &Cloud, shape: usize, walls: &Walls, beside: &Beside) -> Self {
         let (ground, places) = (&cloud.ground, &cloud.places);
-        let (plane, dx) = (ground.plane, ground.dx);
-        let whole = &places.polygons[body];
+        let (dx, whole) = (ground.dx, &places.polygons[shape]);
         let reach = REACHES[2] * dx;
-        let walls = Walls::of(cloud, body);
-        let [from, to] = whole.bounds();
-        if surface.is_empty() || (0..2).any(|d| plane.periodic[d] && to[d] - from[d] >= plane.size[d]) {
-            return None;
-        }
-        let beside = Beside::new(cloud, body, &surface, &walls, 2.0 * reach);
-        let polygon = &beside.polygon;
-        let width = polygon.iter().map(|&p| beside.to_next(p)).fold(f64::MAX, f64::min);
+        let width = beside.polygon.iter().map(|&p| beside.to_next(p)).fold(f64::MAX, f64::min);
         let refined = (CELLS * dx / width).ceil().max(1.0);
         let [low, high] = places.corners;
         let cells = ground.cells(&places.corners);
         let step: [f64; 2] = std::array::from_fn(|d| (high[d] - low[d]) / cells[d] as f64 / refined);
-        let [from, to] = bounds(polygon);
-        let first: [i64; 2] = std::array::from_fn(|d| ((from[d] - reach - low[d]) / step[d]).floor() as i64 - 1);
+        let [from, to] = bounds(&beside.polygon);
+        let first: [f64; 2] = std::array::from_fn(|d| ((from[d] - reach - low[d]) / step[d]).floor() - 1.0);
         let count: [usize; 2] = std::array::from_fn(|d| {
-            let last = ((to[d] + reach - low[d]) / step[d]).ceil() as i64 + 1;
+            let last = ((to[d] + reach - low[d]) / step[d]).ceil() + 1.0;
             (last - first[d]) as usize
         });
-        let at = |i: f64, j: f64| [low[0] + (first[0] as f64 + i) * step[0], low[1] + (first[1] as f64 + j) * step[1]];
-        let belongs: Vec<Cell> = (0..count[0] * count[1])
-            .map(|k| {
-                let p = at((k / count[1]) as f64 + 0.5, (k % count[1]) as f64 + 0.5);
-                if !walls.is_none() && ground.is_solid(&places.polygons, p, body) {
-                    return Cell::Wall;
-                }
-                if whole.contains(p) {
-                    return Cell::Within(0);
-                }
-                let distance = beside.to_body(p);
-                let line = REACHES.iter().position(|&reach| distance < reach * dx);
-                line.filter(|_| distance < NEARER * beside.to_next(p)).map_or(Cell::Beyond, Cell::Within)
-            })
-            .collect();
-        let cell = |i: i64, j: i64| {
-            let inside = |k: i64, d: usize| k >= 0 && (k as usize) < count[d];
-            if inside(i, 0) && inside(j, 1) {
-                belongs[i as usize * count[1] + j as usize]
-            } else {
-                Cell::Beyond
+        let corner = std::array::from_fn(|d| low[d] + first[d] * step[d]);
+        let mut grid = Self { cells: vec![], count, step, corner };
+        let of = |k: usize| {
+            let p = grid.place((k / count[1]) as f64 + 0.5, (k % count[1]) as f64 + 0.5);
+            if !walls.is_none() && ground.is_solid(&places.polygons, p, shape) {
+                return Cell::Wall;
             }
+            if whole.contains(p) {
+                return Cell::Within(0);
+            }
+            let distance = beside.to_body(p);
+            let line = REACHES.iter().position(|&reach| distance < reach * dx);
+            line.filter(|_| distance < NEARER * beside.to_next(p)).map_or(Cell::Beyond, Cell::Within)
         };
-        let is_in = |line: usize, i: i64, j: i64| matches!(cell(i, j), Cell::Within(least) if least <= line);
+        grid.cells = (0..count[0] * count[1]).map(of).collect();
+        grid
+    }
+
+    fn place(&self, i: f64, j: f64) -> [f64; 2] {
+        [self.corner[0] + i * self.step[0], self.corner[1] + j * self.step[1]]
+    }
+
+    /// The cell that a place is in.
+    fn index(&self, p: [f64; 2]) -> [i64; 2] {
+        std::array::from_fn(|d| ((p[d] - self.corner[d]) / self.step[d]).floor() as i64)
+    }
+
+    fn cell(&self, [i, j]: [i64; 2]) -> Cell {
+        let is_inside = |k: i64, d: usize| k >= 0 && (k as usize) < self.count[d];
+        if is_inside(i, 0) && is_inside(j, 1) {
+            self.cells[i as usize * self.count[1] + j as usize]
+        } else {
+            Cell::Beyond
+        }
+    }
+
+    fn is_within(&self, line: usize, cell: [i64; 2]) -> bool {
+        matches!(self.cell(cell), Cell::Within(least) if least <= line)
+    }
+
+    /// The edges of cells that are a line, as corners of cells, with the shape on their left.
+    fn edges(&self, line: usize) -> Vec<[[i64; 2]; 2]> {
+        let mut found = vec![];
+        for (i, j) in (0..self.count[0] as i64).flat_map(|i| (0..self.count[1] as i64).map(move |j| (i, j))) {
+            if !self.is_within(line, [i, j]) {
+                continue;
+            }
+            let sides = [
+                ([i, j - 1], [[i, j], [i + 1, j]]),
+                ([i + 1, j], [[i + 1, j], [i + 1, j + 1]]),
+                ([i, j + 1], [[i + 1, j + 1], [i, j + 1]]),
+                ([i - 1, j], [[i, j + 1], [i, j]]),
+            ];
+            let is_edge = |beyond: [i64; 2]| !self.is_within(line, beyond) && self.cell(beyond) != Cell::Wall;
+            found.extend(sides.into_iter().filter(|(beyond, _)| is_edge(*beyond)).map(|(_, edge)| edge));
+        }
+        found
+    }
+
+    /// Whether a wall is next to a corner of cells.
+    fn is_on_wall(&self, [i, j]: [i64; 2]) -> bool {
+        (0..4).any(|k| self.cell([i - k / 2, j - k % 2]) == Cell::Wall)
+    }
+}
+
+impl Contour {
+    /// The line around a shape, given the points on its surface, in a flow that is steady or not. None around a shape that goes along a whole
+    /// period, and where walls that it stands on turn within the line: these would have the errors at corners that the line is for.
+    pub fn around(cloud: &Cloud, shape: usize, surface: Vec<usize>, in_time: bool) -> Option<Self> {
+        let (ground, places) = (&cloud.ground, &cloud.places);
+        let (plane, dx) = (ground.plane, ground.dx);
+        let [from, to] = places.polygons[shape].bounds();
+        if surface.is_empty() || (0..2).any(|d| plane.periodic[d] && to[d] - from[d] >= plane.size[d]) {
+            return None;
+        }
+        let walls = Walls::of(cloud, shape);
+        let beside = Beside::new(cloud, shape, &surface, &walls, 2.0 * REACHES[2] * dx);
+        let grid = Grid::new(cloud, shape, &walls, &beside);
         let to_particles = Nearest::new(plane, dx, &places.place[..places.inside]);
-        let mut is_own = vec![walls.is_none(); places.boundary.len()];
-        surface.iter().for_each(|&k| is_own[k] = true);
-        let on_walls: Vec<usize> = (0..places.boundary.len()).filter(|&k| !is_own[k]).collect();
-        let places_of: Vec<[f64; 2]> =
-            on_walls.iter().map(|&k| plane.wrapped(places.place[places.inside + k])).collect();
-        let to_walls = Nearest::new(plane, dx, &places_of);
-        let corner = |i: i64, j: i64| {
+        // Points of the walls that it stands on.
+        let mut is_other = vec![!walls.is_none(); places.boundary.len()];
+        surface.iter().for_each(|&k| is_other[k] = false);
+        let others: Vec<usize> = (0..is_other.len()).filter(|&k| is_other[k]).collect();
+        let on_others: Vec<[f64; 2]> =
+            others.iter().map(|&k| plane.wrapped(places.place[places.boundary[k].particle])).collect();
+        let to_others = Nearest::new(plane, dx, &on_others);
+        let corner = |node: [i64; 2]| {
             // Rounding shall not decide between particles that are equally near.
-            let p = at(i as f64 + ASIDE[0], j as f64 + ASIDE[1]);
-            let is_on_wall = (0..4).any(|k| matches!(cell(i - k / 2, j - k % 2), Cell::Wall));
-            let most = 4.0 * ground.far * dx;
-            let particle = match is_on_wall {
-                true => places.inside + on_walls[to_walls.one(plane.wrapped(p), most)?.1],
-                false => to_particles.one(plane.wrapped(p), most)?.1,
+            let p = grid.place(node[0] as f64 + ASIDE[0], node[1] as f64 + ASIDE[1]);
+            let (most, wrapped) = (4.0 * ground.far * dx, plane.wrapped(p));
+            let particle = match grid.is_on_wall(node) {
+                true => places.boundary[others[to_others.one(wrapped, most)?.1]].particle,
+                false => to_particles.one(wrapped, most)?.1,
             };
             Some(Corner { particle, shift: shift_to(&plane, places.place[particle], p) })
         };
         let mut pieces = vec![];
-        // Where lines end.
+        // Where lines end on walls.
         let mut ends: Vec<(usize, usize)> = vec![];
-        let all = (0..count[0] as i64).flat_map(|i| (0..count[1] as i64).map(move |j| (i, j)));
-        for (line, (i, j)) in (0..REACHES.len()).flat_map(|line| all.clone().map(move |cell| (line, cell))) {
-            if !is_in(line, i, j) {
-                continue;
-            }
-            let sides = [
-                ((i, j - 1), (i, j), (i + 1, j)),
-                ((i + 1, j), (i + 1, j), (i + 1, j + 1)),
-                ((i, j + 1), (i + 1, j + 1), (i, j + 1)),
-                ((i - 1, j), (i, j + 1), (i, j)),
-            ];
-            for (beyond, from, to) in sides {
-                if is_in(line, beyond.0, beyond.1) || matches!(cell(beyond.0, beyond.1), Cell::Wall) {
-                    continue;
-                }
-                if let (Some(a), Some(b)) = (corner(from.0, from.1), corner(to.0, to.1)) {
-                    if a != b {
-                        pieces.push([a, b]);
-                        let on_walls = [a, b].into_iter().filter(|end| end.particle >= places.inside);
-                        ends.extend(on_walls.map(|end| (line, end.particle - places.inside)));
-                    }
-                }
-            }
+        for (line, [from, to]) in
+            (0..REACHES.len()).flat_map(|line| grid.edges(line).into_iter().map(move |edge| (line, edge)))
+        {
+            let Some(piece) = corner(from).zip(corner(to)).filter(|(a, b)| a != b) else { continue };
+            let piece = [piece.0, piece.1];
+            ends.extend(piece.iter().filter(|end| end.particle >= places.inside).map(|end| (line, end.particle)));
+            pieces.push(piece);
         }
-        let middle: [f64; 2] = std::array::from_fn(|d| 0.5 * (from[d] + to[d]));
-        let off = 0.5 * step[0].min(step[1]);
-        let feet = on_walls.into_iter().filter_map(|k| {
-            let own = places.place[places.inside + k];
-            let (shift, normal) = (shift_to(&plane, own, middle), places.boundary[k].normal);
-            let [i, j] = std::array::from_fn(|d| {
-                let in_fluid = own[d] + shift[d] + off * normal[d] - low[d];
-                (in_fluid / step[d]).floor() as i64 - first[d]
-            });
-            let within = |line: usize| match ends.contains(&(line, k)) {
+        let [from, to] = bounds(&beside.polygon);
+        let middle = std::array::from_fn(|d| 0.5 * (from[d] + to[d]));
+        let foot = |point: usize| {
+            let BoundaryPoint { particle, normal, .. } = places.boundary[point];
+            let own = places.place[particle];
+            let shift = shift_to(&plane, own, middle);
+            let in_fluid = std::array::from_fn(|d| own[d] + shift[d] + 0.5 * grid.step[d] * normal[d]);
+            let within = |line: usize| match ends.contains(&(line, particle)) {
                 // Half of the wall that the point stands for.
                 true => 0.5,
-                false => f64::from(u8::from(is_in(line, i, j))),
+                false => f64::from(u8::from(grid.is_within(line, grid.index(in_fluid)))),
             };
             let share = SHARE * (0..REACHES.len()).map(within).sum::<f64>();
-            (share > 0.0).then_some(Foot { point: k, share, shift })
-        });
-        let feet: Vec<Foot> = feet.collect();
-        let turn = |shape: &usize| {
-            let on = feet.iter().map(|foot| &places.boundary[foot.point]);
-            let normals = on.filter(|point| point.on.is_some_and(|(own, _)| own == *shape)).map(|point| point.normal);
-            let angles = normals.scan(None, |first: &mut Option<[f64; 2]>, n| {
-                let first = *first.get_or_insert(n);
-                Some((first[0] * n[1] - first[1] * n[0]).atan2(first[0] * n[0] + first[1] * n[1]))
-            });
-            let [least, most] = angles.fold([0.0f64; 2], |[least, most], angle| [least.min(angle), most.max(angle)]);
-            most - least
+            (share > 0.0).then_some(Foot { point, share, shift })
         };
-        if walls.shapes.iter().any(|shape| turn(shape) > TURN) {
+        let feet: Vec<Foot> = others.into_iter().filter_map(foot).collect();
+        if walls.shapes.iter().any(|&wall| turn(places, &feet, wall) > TURN) {
             return None;
         }
-        let origin = std::array::from_fn(|d| polygon.iter().map(|p| p[d]).sum::<f64>() / polygon.len() as f64);
+        let points = beside.polygon.len() as f64;
+        let origin = std::array::from_fn(|d| beside.polygon.iter().map(|p| p[d]).sum::<f64>() / points);
         Some(Self { pieces, surface, feet, origin, in_time })
     }
 

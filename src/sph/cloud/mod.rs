@@ -27,6 +27,7 @@ pub mod outline;
 pub mod particles;
 pub mod placing;
 pub mod problem;
+pub mod sliding;
 pub mod smoothing;
 pub mod sound;
 pub mod sound_adjoint;

@@ -13,6 +13,8 @@ pub trait Scalar:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
 {
     fn of(value: f64) -> Self;
+    /// Without its slope.
+    fn value(self) -> f64;
     fn sqrt(self) -> Self;
     fn sin(self) -> Self;
     fn cos(self) -> Self;
@@ -21,6 +23,9 @@ pub trait Scalar:
 impl Scalar for f64 {
     fn of(value: f64) -> Self {
         value
+    }
+    fn value(self) -> f64 {
+        self
     }
     fn sqrt(self) -> Self {
         f64::sqrt(self)
@@ -85,6 +90,9 @@ impl Neg for Dual {
 impl Scalar for Dual {
     fn of(value: f64) -> Self {
         Self::new(value, 0.0)
+    }
+    fn value(self) -> f64 {
+        self.value
     }
     fn sqrt(self) -> Self {
         let root = self.value.sqrt();
@@ -366,8 +374,21 @@ impl Outline {
         }
     }
 
+    /// The width in t of pieces between which the outline may turn; none where it is smooth.
+    pub fn piece(&self) -> Option<f64> {
+        match &self.curve {
+            Curve::Path { cut, .. } => Some(0.5 / cut.len() as f64),
+            _ => None,
+        }
+    }
+
     /// Points at parameters, for numbers of the shape.
     pub fn points<S: Scalar>(&self, parameters: &[f64], s: &[S]) -> Vec<OnOutline<S>> {
+        self.points_at(&parameters.iter().map(|&t| S::of(t)).collect::<Vec<_>>(), s)
+    }
+
+    /// Points at parameters that depend on the numbers, too.
+    pub fn points_at<S: Scalar>(&self, parameters: &[S], s: &[S]) -> Vec<OnOutline<S>> {
         let s = &s[..self.geometry];
         let way = if self.clockwise { -1.0 } else { 1.0 };
         let corners = match &self.curve {
@@ -382,76 +403,79 @@ impl Outline {
             }
             _ => vec![],
         };
-        let at = |t: &f64| {
-            let t = if self.clockwise { (1.0 - t).rem_euclid(1.0) } else { *t };
-            let found = self.at(t, s, &corners, &curvature);
+        let at = |t: &S| {
+            let t = if self.clockwise { S::of(1.0) - *t } else { *t };
+            let found = self.at(t - S::of(t.value().floor()), s, &corners, &curvature);
             OnOutline { place: found.place, along: scaled(S::of(way), found.along) }
         };
         parameters.iter().map(at).collect()
     }
 
-    fn at<S: Scalar>(&self, t: f64, s: &[S], corners: &[[S; 2]], curvature: &[S]) -> OnOutline<S> {
-        let (sin, cos) = (TAU * t).sin_cos();
+    fn at<S: Scalar>(&self, t: S, s: &[S], corners: &[[S; 2]], curvature: &[S]) -> OnOutline<S> {
+        let (of, one) = (S::of, S::of(1.0));
+        let angle = of(TAU) * t;
+        let (sin, cos) = (angle.sin(), angle.cos());
+        // The piece of so many that t is in, and the way through it.
+        let within = |pieces: usize| {
+            let place = t * of(pieces as f64);
+            let piece = (place.value() as usize).min(pieces - 1);
+            (piece, place - of(piece as f64))
+        };
         match &self.curve {
             Curve::Disc => OnOutline {
-                place: [s[0] + s[2] * S::of(cos), s[1] + s[2] * S::of(sin)],
-                along: [s[2] * S::of(-TAU * sin), s[2] * S::of(TAU * cos)],
+                place: [s[0] + s[2] * cos, s[1] + s[2] * sin],
+                along: [-(s[2] * of(TAU) * sin), s[2] * of(TAU) * cos],
             },
             Curve::Ellipse => {
                 let angle = radians(s[4]);
                 let axis = [angle.cos(), angle.sin()];
                 OnOutline {
-                    place: sum([s[0], s[1]], turned(axis, s[2] * S::of(cos), s[3] * S::of(sin))),
-                    along: turned(axis, s[2] * S::of(-TAU * sin), s[3] * S::of(TAU * cos)),
+                    place: sum([s[0], s[1]], turned(axis, s[2] * cos, s[3] * sin)),
+                    along: turned(axis, -(s[2] * of(TAU) * sin), s[3] * of(TAU) * cos),
                 }
             }
             Curve::Radial { .. } => {
                 let n = curvature.len();
-                let place = t * n as f64;
-                let (k, width) = ((place as usize).min(n - 1), TAU / n as f64);
-                let (b, next) = (place - k as f64, (k + 1) % n);
-                let a = 1.0 - b;
+                let (k, b) = within(n);
+                let (width, next) = (TAU / n as f64, (k + 1) % n);
+                let a = one - b;
                 let (r0, r1, m0, m1) = (s[2 + k], s[2 + next], curvature[k], curvature[next]);
-                let square = width * width / 6.0;
-                let radius = r0 * S::of(a)
-                    + r1 * S::of(b)
-                    + m0 * S::of((a * a * a - a) * square)
-                    + m1 * S::of((b * b * b - b) * square);
-                let slope = (r1 - r0) * S::of(1.0 / width)
-                    + m0 * S::of((1.0 - 3.0 * a * a) * width / 6.0)
-                    + m1 * S::of((3.0 * b * b - 1.0) * width / 6.0);
-                let along = [slope * S::of(cos) - radius * S::of(sin), slope * S::of(sin) + radius * S::of(cos)];
-                OnOutline {
-                    place: [s[0] + radius * S::of(cos), s[1] + radius * S::of(sin)],
-                    along: scaled(S::of(TAU), along),
-                }
+                let square = of(width * width / 6.0);
+                let radius = r0 * a + r1 * b + m0 * (a * a * a - a) * square + m1 * (b * b * b - b) * square;
+                let (sixth, three) = (of(width / 6.0), of(3.0));
+                let slope = (r1 - r0) * of(1.0 / width)
+                    + m0 * (one - three * a * a) * sixth
+                    + m1 * (three * b * b - one) * sixth;
+                let along = [slope * cos - radius * sin, slope * sin + radius * cos];
+                OnOutline { place: [s[0] + radius * cos, s[1] + radius * sin], along: scaled(of(TAU), along) }
             }
             Curve::BSpline => {
                 let n = s.len() / 2;
-                let place = t * n as f64;
-                let k = (place as usize).min(n - 1);
-                let u = place - k as f64;
+                let (k, u) = within(n);
+                let (v, square) = (one - u, u * u);
+                let cube = square * u;
+                let (half, three) = (of(0.5), of(3.0));
                 let basis = [
-                    (1.0 - u).powi(3) / 6.0,
-                    (3.0 * u * u * u - 6.0 * u * u + 4.0) / 6.0,
-                    (-3.0 * u * u * u + 3.0 * u * u + 3.0 * u + 1.0) / 6.0,
-                    u * u * u / 6.0,
+                    v * v * v,
+                    three * cube - of(6.0) * square + of(4.0),
+                    three * square - three * cube + three * u + one,
+                    cube,
                 ];
-                let slope = [-0.5 * (1.0 - u).powi(2), 1.5 * u * u - 2.0 * u, -1.5 * u * u + u + 0.5, 0.5 * u * u];
-                let (mut place, mut along) = ([S::of(0.0); 2], [S::of(0.0); 2]);
+                let slope =
+                    [-(half * v * v), of(1.5) * square - of(2.0) * u, u + half - of(1.5) * square, half * square];
+                let (mut place, mut along) = ([of(0.0); 2], [of(0.0); 2]);
                 for b in 0..4 {
                     let point = (k + b + n - 1) % n;
                     let point = [s[2 * point], s[2 * point + 1]];
-                    place = sum(place, scaled(S::of(basis[b]), point));
-                    along = sum(along, scaled(S::of(slope[b] * n as f64), point));
+                    place = sum(place, scaled(basis[b] * of(1.0 / 6.0), point));
+                    along = sum(along, scaled(slope[b] * of(n as f64), point));
                 }
                 OnOutline { place, along }
             }
             Curve::Path { cut, .. } => {
                 let n = corners.len();
-                let place = t * (2 * n) as f64;
-                let piece = (place as usize).min(2 * n - 1);
-                let (u, k) = (place - piece as f64, piece / 2);
+                let (piece, u) = within(2 * n);
+                let k = piece / 2;
                 let unit = |from: usize, to: usize| {
                     let edge = difference(corners[to % n], corners[from % n]);
                     scaled(S::of(1.0) / length(edge), edge)
@@ -463,13 +487,14 @@ impl Outline {
                     // An edge between what is cut off at both ends.
                     let start = sum(corners[k], scaled(S::of(cut[k]), ahead));
                     let edge = difference(end, start);
-                    return OnOutline { place: sum(start, scaled(S::of(u), edge)), along: scaled(S::of(rate), edge) };
+                    return OnOutline { place: sum(start, scaled(u, edge)), along: scaled(S::of(rate), edge) };
                 }
                 // The corner after it.
                 let after = sum(corners[next], scaled(S::of(cut[next]), unit(next, (next + 1) % n)));
                 let (a, b) = (difference(corners[next], end), difference(after, corners[next]));
-                let place = sum(end, sum(scaled(S::of(2.0 * u - u * u), a), scaled(S::of(u * u), b)));
-                let along = sum(scaled(S::of(2.0 - 2.0 * u), a), scaled(S::of(2.0 * u), b));
+                let double = of(2.0) * u;
+                let place = sum(end, sum(scaled(double - u * u, a), scaled(u * u, b)));
+                let along = sum(scaled(of(2.0) - double, a), scaled(double, b));
                 OnOutline { place, along: scaled(S::of(rate), along) }
             }
         }

@@ -7,10 +7,12 @@ use super::equations::{damping, Bar, BoundaryBar, Condition, Derivatives, Equati
 use super::fit::{Coefficients, Stencils};
 use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
-use super::outline::seeded;
+use super::outline::{seeded, Dual, Scalar};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
+use super::sliding::{End, OnSide, Stretch};
 use super::smoothing::Smoothing;
 use super::wall_fit::{self, WallFit};
+use crate::numerics::sparse_lu::dot;
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -26,8 +28,8 @@ pub trait Surroundings: Debug + Send + Sync {
     fn condition(&self, point: &BoundaryPoint, place: [f64; 2], time: f64, numbers: &[Vec<f64>]) -> (Motion, Warmth);
     /// The shape that a point on a side of the box belongs to, if one is behind it.
     fn shape_behind(&self, point: &BoundaryPoint, place: [f64; 2]) -> Option<usize>;
-    /// Whether conditions depend on the place of a point that moves with a shape.
-    fn varies(&self, shape: usize) -> bool;
+    /// Whether the conditions of a point, which is there, depend on the place.
+    fn varies(&self, point: &BoundaryPoint, place: [f64; 2]) -> bool;
     /// Whether conditions depend on time.
     fn has_time(&self) -> bool;
 }
@@ -280,7 +282,10 @@ impl Conditions<2> for Cloud {
     }
 
     fn varies(&self, point: usize) -> bool {
-        self.places.boundary[point].on.is_some_and(|(shape, _)| self.surroundings.varies(shape))
+        let Places { boundary, on_sides, place, .. } = &self.places;
+        let on = &boundary[point];
+        let moves = on.on.is_some() || on_sides.binary_search_by_key(&point, |on| on.point).is_ok();
+        moves && self.surroundings.varies(on, place[on.particle])
     }
 
     fn has_time(&self) -> bool {
@@ -442,6 +447,34 @@ impl Cloud {
         all
     }
 
+    /// The parameter of a point on a shape, given those of the ends of all stretches, and its derivative by the one that it has here.
+    fn slid<S: Scalar>(&self, shape: usize, t: f64, ends: &[[S; 2]]) -> (S, S) {
+        let stretches = self.places.stretches.iter().zip(ends);
+        let own = stretches.filter(|(stretch, _)| stretch.shape == shape && stretch.has(t)).last();
+        own.map_or((S::of(t), S::of(1.0)), |(stretch, &to)| stretch.slid(&self.ground.outlines[shape], to, t))
+    }
+
+    /// The parameters of the ends of all stretches for numbers of the shapes.
+    fn ends<S: Scalar>(&self, numbers: &[Vec<S>]) -> Vec<[S; 2]> {
+        let of = |stretch: &Stretch| stretch.parameters(&self.ground.outlines[stretch.shape], &numbers[stretch.shape]);
+        self.places.stretches.iter().map(of).collect()
+    }
+
+    /// How far the ends of all stretches have moved along the sides that they are on.
+    fn feet<S: Scalar>(&self, ends: &[[S; 2]], numbers: &[Vec<S>]) -> Vec<[S; 2]> {
+        let of = |(stretch, to): (&Stretch, &[S; 2])| {
+            let outline = &self.ground.outlines[stretch.shape];
+            let moved = |k: usize| {
+                let End { t, side } = stretch.ends[k];
+                let Some(along) = side.map(|side| 1 - side / 2) else { return S::of(0.0) };
+                let old = outline.points(&[t], &outline.numbers)[0].place[along];
+                outline.points_at(&[to[k]], &numbers[stretch.shape])[0].place[along] - S::of(old)
+            };
+            [0, 1].map(moved)
+        };
+        self.places.stretches.iter().zip(ends).map(of).collect()
+    }
+
     /// The cloud for numbers of every shape.
     ///
     /// # Errors
@@ -452,17 +485,25 @@ impl Cloud {
         let mut area: Vec<[f64; 2]> =
             self.places.boundary.iter().map(|p| [p.weight * p.normal[0], p.weight * p.normal[1]]).collect();
         let mut normal: Vec<[f64; 2]> = self.places.boundary.iter().map(|p| p.normal).collect();
+        let ends = self.ends(numbers);
         for (shape, (points, parameters)) in self.on_shapes().iter().enumerate() {
             let outline = &self.ground.outlines[shape];
-            let (old, new) =
-                (outline.points(parameters, &outline.numbers), outline.points(parameters, &numbers[shape]));
-            for ((&k, old), new) in points.iter().zip(&old).zip(&new) {
-                let weight = self.places.boundary[k].weight;
+            let (slid, rates): (Vec<f64>, Vec<f64>) = parameters.iter().map(|&t| self.slid(shape, t, &ends)).unzip();
+            let (old, new) = (outline.points(parameters, &outline.numbers), outline.points(&slid, &numbers[shape]));
+            for (((&k, old), new), rate) in points.iter().zip(&old).zip(&new).zip(rates) {
+                let weight = rate * self.places.boundary[k].weight;
                 (0..2).for_each(|d| moved[d][k] = new.place[d] - old.place[d]);
                 area[k] = [weight * new.along[1], -weight * new.along[0]];
                 let length = area[k][0].hypot(area[k][1]);
                 normal[k] = [area[k][0] / length, area[k][1] / length];
             }
+        }
+        let feet = self.feet(&ends, numbers);
+        for on in &self.places.on_sides {
+            let OnSide { point: k, along, .. } = *on;
+            let (place, rate) = on.slid(&feet);
+            moved[along][k] = place - on.at;
+            area[k] = area[k].map(|one| rate * one);
         }
         let position: [Vec<f64>; 2] = std::array::from_fn(|d| {
             let moved = self.deformation.displacement(&moved[d]);
@@ -499,14 +540,26 @@ impl Cloud {
                 return time.map_or(0.0, of);
             }
             let (points, parameters) = &on_shapes[shape];
-            let (outline, numbers) = (&self.ground.outlines[shape], seeded(&shaped.numbers[shape], Some(number)));
-            let slopes = outline.points(parameters, &numbers);
-            let mut sum = bar.by_centre(shape, || outline.centre(&numbers));
-            for (&k, slope) in points.iter().zip(&slopes) {
+            let outline = &self.ground.outlines[shape];
+            let seeds = |k: usize| seeded(&shaped.numbers[k], Some(number).filter(|_| k == shape));
+            let all: Vec<Vec<Dual>> = (0..shaped.numbers.len()).map(seeds).collect();
+            let (numbers, ends) = (&all[shape], self.ends(&all));
+            let feet = self.feet(&ends, &all);
+            let (slid, rates): (Vec<Dual>, Vec<Dual>) = parameters.iter().map(|&t| self.slid(shape, t, &ends)).unzip();
+            let slopes = outline.points_at(&slid, numbers);
+            let mut sum = bar.by_centre(shape, || outline.centre(numbers));
+            for on in &self.places.on_sides {
+                let OnSide { point: k, along, .. } = *on;
+                let (place, rate) = on.slid(&feet);
+                let BoundaryPoint { weight, normal, .. } = self.places.boundary[k];
+                sum += place.slope * (place_bar[along][k] + by_condition[k][along]);
+                sum += rate.slope * weight * dot(&bar.boundary[k].area, &normal);
+            }
+            for ((&k, slope), rate) in points.iter().zip(&slopes).zip(rates) {
                 let BoundaryBar { normal, area, .. } = bar.boundary[k];
-                let weight = self.places.boundary[k].weight;
+                let weight = Dual::new(self.places.boundary[k].weight, 0.0) * rate;
                 let (a, n) = (shaped.area[k], shaped.conditions[k].normal);
-                let da = [weight * slope.along[1].slope, -weight * slope.along[0].slope];
+                let da = [(weight * slope.along[1]).slope, -(weight * slope.along[0]).slope];
                 let length = a[0].hypot(a[1]);
                 let along = n[0] * da[0] + n[1] * da[1];
                 for d in 0..2 {

@@ -11,6 +11,7 @@
 
 use super::nearest::{Cells, Nearest, Plane, Region};
 use super::outline::{area, area_within, is_inside, OnOutline, Outline};
+use super::sliding::{self, End, Mark, OnSide, Stretch};
 
 /// What the cloud is made of: outlines of bodies and walls in a box.
 #[derive(Debug, Clone)]
@@ -54,6 +55,10 @@ pub struct Places {
     pub bodies: Vec<usize>,
     /// Shapes of which a part of the outline is in the fluid.
     pub touching: Vec<usize>,
+    /// The parts of their outlines that are in the fluid, of those that are not bodies.
+    pub stretches: Vec<Stretch>,
+    /// Points of sides that follow the ends of these.
+    pub on_sides: Vec<OnSide>,
     /// Polygons of the outlines, fine, for tests of what is inside.
     pub polygons: Vec<Polygon>,
     /// Lower and upper corner of the fluid.
@@ -86,6 +91,8 @@ const FINEST: f64 = 0.4;
 const OFF_SIDES: f64 = 0.5;
 /// What is nearer to a side of the box touches it, in dx.
 const TOUCH: f64 = 1e-9;
+/// An outline ends on a side that is nearer than this, in dx.
+const AT_SIDE: f64 = 1e-6;
 /// Samples of the spacing along a side that a surface meets, per cell of the lattice.
 const SAMPLES: usize = 4;
 /// Places between two points of a side at which there may be a wall.
@@ -127,6 +134,15 @@ impl Polygon {
     /// The lower and upper corner of the box around it.
     pub fn bounds(&self) -> [[f64; 2]; 2] {
         [self.low, self.high]
+    }
+
+    pub fn perimeter(&self) -> f64 {
+        let points = &self.points;
+        let edge = |k: usize| {
+            let (a, b) = (points[k], points[(k + 1) % points.len()]);
+            (b[0] - a[0]).hypot(b[1] - a[1])
+        };
+        (0..points.len()).map(edge).sum()
     }
 
     pub fn area(&self) -> f64 {
@@ -194,6 +210,8 @@ impl Ground {
             boundary: vec![],
             bodies: vec![],
             touching: vec![],
+            stretches: vec![],
+            on_sides: vec![],
             polygons: polygons.clone(),
             corners: [[0.0; 2], plane.size],
         };
@@ -254,6 +272,9 @@ impl Ground {
                 let mut parameters: Vec<f64> = (from..to).map(at).collect();
                 parameters.insert(0, end_of(parameters[0], at(from + n - 1) - 1.0, &may));
                 parameters.push(end_of(parameters[parameters.len() - 1], at(to), &may));
+                let ends = [parameters[0], parameters[parameters.len() - 1]];
+                let ends = ends.map(|t| End::new(outline, &plane, t, AT_SIDE * dx));
+                places.stretches.push(Stretch { shape: k, ends });
                 let wrapped: Vec<f64> = parameters.iter().map(|t| t.rem_euclid(1.0)).collect();
                 let on = outline.points(&wrapped, &outline.numbers);
                 let length = lengths(&on);
@@ -272,7 +293,7 @@ impl Ground {
                     self.layers(&on, &length, &spacing, &mut layers, &mut near);
                     let last = on.len() - 1;
                     let ends = [0, last].map(|end| Contact { place: on[end].place, spacing: spacing[end] });
-                    contacts.extend(ends.into_iter().filter(|end| self.depth(end.place) < 1e-6 * dx));
+                    contacts.extend(ends.into_iter().filter(|end| self.depth(end.place) < AT_SIDE * dx));
                 }
             }
         }
@@ -325,6 +346,7 @@ impl Ground {
         for (k, (point, ..)) in surface.iter().enumerate() {
             places.boundary.push(BoundaryPoint { particle: places.inside + k, ..*point });
         }
+        places.on_sides = self.on_sides(&places);
         // Lattice points too, where the lattice does not fit to a wall.
         let moves: Vec<bool> = kept
             .iter()
@@ -632,6 +654,38 @@ impl Ground {
                 surface.push((point, p, h));
             }
         }
+    }
+
+    /// The points of sides that follow ends of outlines.
+    fn on_sides(&self, places: &Places) -> Vec<OnSide> {
+        let on_side = |side: usize, p: [f64; 2]| self.plane.wrapped(p)[1 - side / 2];
+        let ends = places.stretches.iter().enumerate().flat_map(|(k, stretch)| {
+            let of = move |end: usize| {
+                let (outline, End { t, side }) = (&self.outlines[stretch.shape], stretch.ends[end]);
+                let place = outline.points(&[t], &outline.numbers)[0].place;
+                side.map(|side| (side, Mark { at: on_side(side, place), end: Some((k, end)) }))
+            };
+            [0, 1].into_iter().filter_map(of)
+        });
+        let mut marks: Vec<(usize, Mark)> = ends.collect();
+        if marks.is_empty() {
+            return vec![];
+        }
+        let on = places.boundary.iter().enumerate().filter_map(|(k, point)| Some((k, point.side?, point)));
+        let points: Vec<_> =
+            on.clone().map(|(k, side, point)| (k, side, on_side(side, places.place[point.particle]))).collect();
+        let behind = on.map(|(_, _, point)| {
+            let place = places.place[point.particle];
+            let p = std::array::from_fn(|d| place[d] - 0.25 * self.dx * point.normal[d]);
+            self.is_in_wall(&places.polygons, p, None)
+        });
+        // What holds on a side may change where a shape behind it ends, which stays there.
+        for (pair, is_behind) in points.windows(2).zip(behind.collect::<Vec<_>>().windows(2)) {
+            if pair[0].1 == pair[1].1 && is_behind[0] != is_behind[1] {
+                marks.push((pair[0].1, Mark { at: 0.5 * (pair[0].2 + pair[1].2), end: None }));
+            }
+        }
+        sliding::beside(&self.plane, &points, &marks)
     }
 
     /// Spreads particles that `moves` names by repulsion.
