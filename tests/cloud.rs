@@ -1362,6 +1362,29 @@ fn the_derivative_of_what_a_line_to_a_side_tells_is_that_of_differences() {
     }
 }
 
+/// Between walls of two temperatures that meet, heat passes without limit as the spacing becomes finer; where they agree nothing is warned of.
+#[test]
+fn a_step_of_the_temperature_where_walls_meet_is_told() {
+    let steps = |bottom: &str| {
+        let fin = "kind = \"box\"\nlower = [0.7, -0.3]\nupper = [0.85, 0.4]";
+        let mut config = beside_an_inflow(fin, &[], "drag");
+        config.region.sides = loaded(&format!(
+            "scene = \"custom\"\nmethod.name = \"fixed\"\ninitial.temperature = 0.0\nregion.size = [2.0, 1.0]\n\
+             region.periodic = [false, false]\nregion.sides.left = {{ kind = \"inflow\", velocity = [1, 0], temperature = 0 }}\n\
+             region.sides.right = {{ kind = \"outflow\" }}\nregion.sides.bottom = {{ kind = \"wall\"{bottom} }}\n"
+        ))
+        .region
+        .sides;
+        let around = AroundShapes::new(&config).unwrap();
+        let cloud = &around.flow.cloud;
+        cloud.temperature_steps(&cloud.shaped(&cloud.numbers()).unwrap().conditions)
+    };
+    let [cold, warm] = [", temperature = 0", ", temperature = 1"].map(steps);
+    assert!(cold.len() == 1 && (cold[0].1 - 1.0).abs() < 1e-9, "{cold:?}");
+    assert_eq!(warm, vec![(0, 0.0)]);
+    assert_eq!(steps(""), vec![]);
+}
+
 /// How far fins are from each other is told, from where they are in the fluid: a gap of three spacings is a warning, and the floor is none.
 #[test]
 fn a_narrow_gap_between_fins_is_told() {
@@ -1421,6 +1444,23 @@ fn ends_of_walls_slide_along_sides() {
     assert_derivatives(&beside_an_inflow(bump, &numbers, "torque"), &[0, 1, 2], 1e-7);
     let plate = "kind = \"box\"\nlower = [-0.3, 0.45]\nupper = [0.4, 0.6]";
     assert_derivatives(&beside_an_inflow(plate, &[("upper[1]", 0.55, 0.65)], "drag"), &[0], 1e-7);
+}
+
+/// So are those that move ends along other shapes, by the one and by the other: a fin on a plate, and two discs that are one body.
+#[test]
+fn ends_of_walls_slide_along_other_shapes() {
+    let (fin, plate) = ("lower = [0.7, 0.02]\nupper = [0.8, 0.5]", "lower = [0.4, -0.2]\nupper = [1.3, 0.1]");
+    let two = |first: &str, second: &str| format!("{first}\ntemperature = 1.0\n[[shapes]]\n{second}");
+    let boxes = |a: &str, b: &str| two(&format!("kind = \"box\"\n{a}"), &format!("kind = \"box\"\n{b}"));
+    let numbers = [("upper[1]", 0.45, 0.55), ("lower[0]", 0.65, 0.72)];
+    assert_derivatives(&beside_an_inflow(&boxes(fin, plate), &numbers, "shape-heat"), &[0, 1], 1e-7);
+    let numbers = [("upper[1]", 0.08, 0.12), ("upper[0]", 1.2, 1.4)];
+    assert_derivatives(&beside_an_inflow(&boxes(plate, fin), &numbers, "drag"), &[0, 1], 1e-7);
+    let disc = |x: f64, y: f64, radius: f64| format!("kind = \"disc\"\ncentre = [{x}, {y}]\nradius = {radius}");
+    let numbers = [("centre[0]", 0.68, 0.72), ("centre[1]", 0.38, 0.42), ("radius", 0.14, 0.16)];
+    let discs = two(&disc(0.7, 0.4, 0.15), &disc(0.86, 0.47, 0.13));
+    assert_derivatives(&beside_an_inflow(&discs, &numbers, "drag"), &[0, 1, 2], 1e-7);
+    assert_derivatives(&beside_an_inflow(&discs, &numbers, "shape-heat"), &[0, 1, 2], 1e-7);
 }
 
 /// The derivative while particles follow the shape is that of clouds placed anew, also where the side is hot in part, which stays as it is.

@@ -35,6 +35,9 @@ const REST: f64 = 0.03;
 /// A passage between bodies and walls that is narrower than this many spacings is warned of.
 const NARROW: f64 = 4.0;
 
+/// A step of the temperature where walls meet that is larger, as a share of the range of given temperatures, is warned of.
+const TEMPERATURE_STEP: f64 = 0.1;
+
 /// Numbers of a solution that a table shows.
 fn number(figures: &Figures, name: &str) -> Option<f64> {
     figures.iter().find(|(other, _)| *other == name).and_then(|(_, value)| value.as_f64())
@@ -84,6 +87,18 @@ fn warnings_of(around: &AroundShapes, solution: &Solution, figures: &Figures) ->
             format!("{:.1} % of the flow enters or leaves that the sides of the box do not account for", 100.0 * rest),
             format!("an outflow in region.sides, or {}", around.finer_advice()),
         ));
+    }
+    let steps = match around.config().initial.temperature {
+        Some(_) => around.flow.cloud.temperature_steps(&around.flow.at(solution).shaped.conditions),
+        None => vec![],
+    };
+    for (shape, step) in steps.into_iter().filter(|(_, step)| *step > TEMPERATURE_STEP) {
+        let problem = format!(
+            "shapes[{shape}] meets a wall of another temperature: the heat that passes between them grows without limit as \
+             the spacing becomes finer, and the heat of the shape with it"
+        );
+        let advice = "the same temperature where they meet; the heat outflow has a limit";
+        found.push(Warning::new("temperature-step", [step, TEMPERATURE_STEP], problem, advice));
     }
     let dx = around.flow.cloud.ground.dx;
     let narrowest = around.of_shapes(ObjectiveKind::Distance, &[], &around.first()).map(|judged| judged.value / dx);

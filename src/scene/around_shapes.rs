@@ -19,6 +19,7 @@ use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Cloud, Fluid, Surroundings, Unusable};
 use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
+use crate::sph::cloud::sliding::Footing;
 use crate::sph::cloud::steady::{Held, NoSteadyState};
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::sync::Arc;
@@ -239,11 +240,11 @@ impl AroundShapes {
             {
                 let key = format!("variables[{k}].number");
                 let problem = format!(
-                    "{key} = \"{}\": the shape stands on another shape, and this number moves its surface there",
+                    "{key} = \"{}\": the shape meets a wall at a small angle, and this number moves its surface there",
                     config.variables[k].number
                 );
                 return Err(BadInput::at(&key, problem)
-                    .allowed("numbers of shapes that stand in the fluid or on sides of the box, and those that leave ends on other shapes in place (points of a b-spline far from these)")
+                    .allowed("numbers of shapes that stand in the fluid, or go into walls at larger angles, and those that leave such ends in place (points of a b-spline far from these)")
                     .advice("method.name=consistent")
                     .into());
             }
@@ -421,9 +422,10 @@ fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
     let free: Vec<bool> = slopes.iter().map(|on| is_free(on.place.map(|x| x.value))).collect();
     let stays = |k: usize| slopes[k].place.iter().all(|x| x.slope.abs() < 1e-12);
     let next = |k: usize| (k + 1) % free.len();
-    // An end on a side slides along it.
+    // An end on a wall slides along it.
     let ends = places.stretches.iter().filter(|stretch| stretch.shape == shape).flat_map(|stretch| stretch.ends);
-    let sliding: Vec<f64> = ends.filter(|end| end.side.is_some()).map(|end| end.t.rem_euclid(1.0)).collect();
+    let sliding: Vec<f64> =
+        ends.filter(|end| end.footing != Footing::Nothing).map(|end| end.t.rem_euclid(1.0)).collect();
     let slides = |k: usize| {
         // A sample may be just where the end is.
         let way = |t: f64| (t - samples[k] + ROUNDING).rem_euclid(1.0);

@@ -9,7 +9,7 @@ use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
 use super::outline::{seeded, Dual, Scalar};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
-use super::sliding::{End, OnSide, Stretch};
+use super::sliding::{End, Footing, OnSide, Stretch};
 use super::smoothing::Smoothing;
 use super::wall_fit::{self, WallFit};
 use crate::numerics::sparse_lu::dot;
@@ -456,8 +456,7 @@ impl Cloud {
 
     /// The parameters of the ends of all stretches for numbers of the shapes.
     fn ends<S: Scalar>(&self, numbers: &[Vec<S>]) -> Vec<[S; 2]> {
-        let of = |stretch: &Stretch| stretch.parameters(&self.ground.outlines[stretch.shape], &numbers[stretch.shape]);
-        self.places.stretches.iter().map(of).collect()
+        self.places.stretches.iter().map(|stretch| stretch.parameters(&self.ground.outlines, numbers)).collect()
     }
 
     /// How far the ends of all stretches have moved along the sides that they are on.
@@ -465,14 +464,49 @@ impl Cloud {
         let of = |(stretch, to): (&Stretch, &[S; 2])| {
             let outline = &self.ground.outlines[stretch.shape];
             let moved = |k: usize| {
-                let End { t, side } = stretch.ends[k];
-                let Some(along) = side.map(|side| 1 - side / 2) else { return S::of(0.0) };
+                let End { t, footing } = stretch.ends[k];
+                let Footing::Side(side) = footing else { return S::of(0.0) };
+                let along = 1 - side / 2;
                 let old = outline.points(&[t], &outline.numbers)[0].place[along];
                 outline.points_at(&[to[k]], &numbers[stretch.shape])[0].place[along] - S::of(old)
             };
             [0, 1].map(moved)
         };
         self.places.stretches.iter().zip(ends).map(of).collect()
+    }
+
+    /// Of each shape that meets other walls the largest step of the given temperature there, as a share of the range of all given
+    /// temperatures.
+    pub fn temperature_steps(&self, conditions: &[Condition]) -> Vec<(usize, f64)> {
+        let Places { boundary, place, stretches, .. } = &self.places;
+        let given = |k: usize| match conditions[k].warmth {
+            Warmth::Given(temperature) => Some(temperature),
+            Warmth::Flux(_) => None,
+        };
+        let all = || (0..boundary.len()).filter_map(given);
+        let range = all().fold(f64::MIN, f64::max) - all().fold(f64::MAX, f64::min);
+        let step = |stretch: &Stretch, end: &End| {
+            let outline = &self.ground.outlines[stretch.shape];
+            let p = outline.points(&[end.t], &outline.numbers)[0].place;
+            let nearest = |is_wanted: &dyn Fn(&BoundaryPoint) -> bool| {
+                let wanted = (0..boundary.len()).filter(|&k| is_wanted(&boundary[k]));
+                let distance = |k: usize| self.ground.plane.distance(place[boundary[k].particle], p);
+                wanted.min_by(|a, b| distance(*a).total_cmp(&distance(*b))).and_then(given)
+            };
+            let own = nearest(&|point| point.on.is_some_and(|on| on.0 == stretch.shape))?;
+            let wall = nearest(&|point| match end.footing {
+                Footing::Side(side) => point.side == Some(side),
+                Footing::Shape(other, _) => point.on.is_some_and(|on| on.0 == other),
+                Footing::Nothing => false,
+            })?;
+            Some((own - wall).abs() / range)
+        };
+        let of = |shape: usize| {
+            let own = stretches.iter().filter(|stretch| stretch.shape == shape);
+            let steps = own.flat_map(|stretch| stretch.ends.iter().filter_map(|end| step(stretch, end)));
+            steps.filter(|step| step.is_finite()).max_by(f64::total_cmp).map(|step| (shape, step))
+        };
+        (0..self.ground.outlines.len()).filter_map(of).collect()
     }
 
     /// The cloud for numbers of every shape.
@@ -539,15 +573,12 @@ impl Cloud {
                 };
                 return time.map_or(0.0, of);
             }
-            let (points, parameters) = &on_shapes[shape];
             let outline = &self.ground.outlines[shape];
             let seeds = |k: usize| seeded(&shaped.numbers[k], Some(number).filter(|_| k == shape));
             let all: Vec<Vec<Dual>> = (0..shaped.numbers.len()).map(seeds).collect();
-            let (numbers, ends) = (&all[shape], self.ends(&all));
+            let ends = self.ends(&all);
             let feet = self.feet(&ends, &all);
-            let (slid, rates): (Vec<Dual>, Vec<Dual>) = parameters.iter().map(|&t| self.slid(shape, t, &ends)).unzip();
-            let slopes = outline.points_at(&slid, numbers);
-            let mut sum = bar.by_centre(shape, || outline.centre(numbers));
+            let mut sum = bar.by_centre(shape, || outline.centre(&all[shape]));
             for on in &self.places.on_sides {
                 let OnSide { point: k, along, .. } = *on;
                 let (place, rate) = on.slid(&feet);
@@ -555,7 +586,17 @@ impl Cloud {
                 sum += place.slope * (place_bar[along][k] + by_condition[k][along]);
                 sum += rate.slope * weight * dot(&bar.boundary[k].area, &normal);
             }
-            for ((&k, slope), rate) in points.iter().zip(&slopes).zip(rates) {
+            let follows = |other: usize| {
+                other == shape || self.places.stretches.iter().any(|own| own.shape == other && own.follows(shape))
+            };
+            let moved = (0..all.len()).filter(|&other| follows(other)).flat_map(|other| {
+                let (points, parameters) = &on_shapes[other];
+                let (slid, rates): (Vec<Dual>, Vec<Dual>) =
+                    parameters.iter().map(|&t| self.slid(other, t, &ends)).unzip();
+                let slopes = self.ground.outlines[other].points_at(&slid, &all[other]);
+                points.iter().zip(slopes).zip(rates).collect::<Vec<_>>()
+            });
+            for ((&k, slope), rate) in moved {
                 let BoundaryBar { normal, area, .. } = bar.boundary[k];
                 let weight = Dual::new(self.places.boundary[k].weight, 0.0) * rate;
                 let (a, n) = (shaped.area[k], shaped.conditions[k].normal);

@@ -11,7 +11,7 @@
 
 use super::nearest::{Cells, Nearest, Plane, Region};
 use super::outline::{area, area_within, is_inside, OnOutline, Outline};
-use super::sliding::{self, End, Mark, OnSide, Stretch};
+use super::sliding::{self, End, Footing, Mark, OnSide, Stretch};
 
 /// What the cloud is made of: outlines of bodies and walls in a box.
 #[derive(Debug, Clone)]
@@ -91,8 +91,6 @@ const FINEST: f64 = 0.4;
 const OFF_SIDES: f64 = 0.5;
 /// What is nearer to a side of the box touches it, in dx.
 const TOUCH: f64 = 1e-9;
-/// An outline ends on a side that is nearer than this, in dx.
-const AT_SIDE: f64 = 1e-6;
 /// Samples of the spacing along a side that a surface meets, per cell of the lattice.
 const SAMPLES: usize = 4;
 /// Places between two points of a side at which there may be a wall.
@@ -273,7 +271,7 @@ impl Ground {
                 parameters.insert(0, end_of(parameters[0], at(from + n - 1) - 1.0, &may));
                 parameters.push(end_of(parameters[parameters.len() - 1], at(to), &may));
                 let ends = [parameters[0], parameters[parameters.len() - 1]];
-                let ends = ends.map(|t| End::new(outline, &plane, t, AT_SIDE * dx));
+                let ends = ends.map(|t| End::new(&self.outlines, k, &plane, t, dx));
                 places.stretches.push(Stretch { shape: k, ends });
                 let wrapped: Vec<f64> = parameters.iter().map(|t| t.rem_euclid(1.0)).collect();
                 let on = outline.points(&wrapped, &outline.numbers);
@@ -293,7 +291,7 @@ impl Ground {
                     self.layers(&on, &length, &spacing, &mut layers, &mut near);
                     let last = on.len() - 1;
                     let ends = [0, last].map(|end| Contact { place: on[end].place, spacing: spacing[end] });
-                    contacts.extend(ends.into_iter().filter(|end| self.depth(end.place) < AT_SIDE * dx));
+                    contacts.extend(ends.into_iter().filter(|end| self.depth(end.place) < sliding::AT_SIDE * dx));
                 }
             }
         }
@@ -661,9 +659,10 @@ impl Ground {
         let on_side = |side: usize, p: [f64; 2]| self.plane.wrapped(p)[1 - side / 2];
         let ends = places.stretches.iter().enumerate().flat_map(|(k, stretch)| {
             let of = move |end: usize| {
-                let (outline, End { t, side }) = (&self.outlines[stretch.shape], stretch.ends[end]);
+                let (outline, End { t, footing }) = (&self.outlines[stretch.shape], stretch.ends[end]);
+                let Footing::Side(side) = footing else { return None };
                 let place = outline.points(&[t], &outline.numbers)[0].place;
-                side.map(|side| (side, Mark { at: on_side(side, place), end: Some((k, end)) }))
+                Some((side, Mark { at: on_side(side, place), end: Some((k, end)) }))
             };
             [0, 1].into_iter().filter_map(of)
         });

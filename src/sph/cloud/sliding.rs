@@ -1,10 +1,12 @@
-//! How points follow the ends of an outline that goes into the sides of the box, as the shape changes.
+//! How points follow the ends of an outline that goes into other walls, as shapes change.
 //!
 //! Let an outline r(t; s) with the numbers s go into a side x = X at t = a. The end stays on the side, which is an equation for a(s),
 //!
 //! ```text
 //!   x(a; s) = X,   so   da/ds = -(dx/ds) / (dx/dt).
 //! ```
+//!
+//! Where it goes into another outline q(u; s), at u = b, the end is at r(a; s) = q(b; s), two equations for a and b.
 //!
 //! Points of the outline are at frozen parameters t; those between an end and the next corner, or the other end, keep their place
 //! relative to both, so that t is linear in a. Points of the side do the same between the outlines' ends and the corners of the box. Weights
@@ -13,50 +15,123 @@
 use super::nearest::Plane;
 use super::outline::{Outline, Scalar};
 
-/// The least part of an outline's direction that goes into the side.
+/// The least sine of the angle between an outline and the wall that it goes into.
 const SLANT: f64 = 1e-3;
 const STEPS: usize = 60;
+/// An outline ends on a side that is nearer than this, in dx.
+pub const AT_SIDE: f64 = 1e-6;
+/// The same of another outline, which is drawn with straight lines to find where it ends.
+const AT_SHAPE: f64 = 0.1;
+/// Places per piece of an outline among which the nearest one is looked for.
+const SAMPLES: usize = 64;
+
+/// What an outline goes into.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Footing {
+    /// A side of the box, see [`super::placing::BoundaryPoint::side`].
+    Side(usize),
+    /// Another shape, at a parameter of its outline.
+    Shape(usize, f64),
+    /// None that is known, or one that it touches at a small angle.
+    Nothing,
+}
 
 /// The end of a part of an outline that is in the fluid.
 #[derive(Debug, Clone, Copy)]
 pub struct End {
     pub t: f64,
-    /// The side of the box that it is on, see [`super::placing::BoundaryPoint::side`]; none on other shapes, or where it touches the side
-    /// at a small angle.
-    pub side: Option<usize>,
+    pub footing: Footing,
+}
+
+fn cross<S: Scalar>(a: [S; 2], b: [S; 2]) -> S {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+fn length(a: [f64; 2]) -> f64 {
+    a[0].hypot(a[1])
 }
 
 impl End {
-    /// The end of an outline at t, which may be on a side of the box, but for `tolerance`.
-    pub fn new(outline: &Outline, plane: &Plane, t: f64, tolerance: f64) -> Self {
-        let on = outline.points(&[t], &outline.numbers)[0];
-        let length = on.along[0].hypot(on.along[1]);
+    /// The end of a shape's outline at t, among all outlines, given the spacing.
+    pub fn new(outlines: &[Outline], shape: usize, plane: &Plane, t: f64, dx: f64) -> Self {
+        let on = outlines[shape].points(&[t], &outlines[shape].numbers)[0];
         let distance = |side: usize| (on.place[side / 2] - (side % 2) as f64 * plane.size[side / 2]).abs();
         let is_on = |side: &usize| {
             let d = side / 2;
-            !plane.periodic[d] && distance(*side) < tolerance && on.along[d].abs() > SLANT * length
+            !plane.periodic[d] && distance(*side) < AT_SIDE * dx && on.along[d].abs() > SLANT * length(on.along)
         };
-        Self { t, side: (0..4).filter(is_on).min_by(|a, b| distance(*a).total_cmp(&distance(*b))) }
+        if let Some(side) = (0..4).filter(is_on).min_by(|a, b| distance(*a).total_cmp(&distance(*b))) {
+            return Self { t, footing: Footing::Side(side) };
+        }
+        let goes_into = |other: usize| {
+            let outline = &outlines[other];
+            let u = nearest(outline, plane, on.place);
+            let there = outline.points(&[u], &outline.numbers)[0];
+            let slant = cross(on.along, there.along).abs() / (length(on.along) * length(there.along));
+            let is_there = length(plane.between(on.place, there.place)) < AT_SHAPE * dx && slant > SLANT;
+            is_there.then_some(Footing::Shape(other, u))
+        };
+        let footing = (0..outlines.len()).filter(|&other| other != shape).find_map(goes_into);
+        Self { t, footing: footing.unwrap_or(Footing::Nothing) }
     }
 
-    /// Its parameter for other numbers of the shape.
-    fn parameter<S: Scalar>(&self, outline: &Outline, numbers: &[S]) -> S {
+    /// Its parameter for other numbers of all shapes. (By Newton's method; the last step, where nothing is left, gives slopes.)
+    fn parameter<S: Scalar>(&self, outlines: &[Outline], shape: usize, numbers: &[Vec<S>]) -> S {
+        let outline = &outlines[shape];
+        let first = outline.points(&[self.t], &outline.numbers)[0].place;
         let mut t = S::of(self.t);
-        let Some(d) = self.side.map(|side| side / 2) else {
-            return t;
+        let mut steps = |step: &mut dyn FnMut(S) -> S| {
+            for _ in 0..STEPS {
+                let by = step(t);
+                t = t - by;
+                if by.value().abs() < 1e-15 {
+                    break;
+                }
+            }
+            t
         };
-        let x = outline.points(&[self.t], &outline.numbers)[0].place[d];
-        // Newton's method; the last step, where nothing is left, gives slopes.
-        for _ in 0..STEPS {
-            let on = outline.points_at(&[t], numbers)[0];
-            let step = (on.place[d] - S::of(x)) / on.along[d];
-            t = t - step;
-            if step.value().abs() < 1e-15 {
-                break;
+        match self.footing {
+            Footing::Nothing => t,
+            Footing::Side(side) => steps(&mut |t| {
+                let on = outline.points_at(&[t], &numbers[shape])[0];
+                (on.place[side / 2] - S::of(first[side / 2])) / on.along[side / 2]
+            }),
+            Footing::Shape(other, u) => {
+                let wall = &outlines[other];
+                let there = wall.points(&[u], &wall.numbers)[0].place;
+                let mut u = S::of(u);
+                steps(&mut |t| {
+                    let a = outline.points_at(&[t], &numbers[shape])[0];
+                    let b = wall.points_at(&[u], &numbers[other])[0];
+                    // Images may be a period from each other.
+                    let apart = [0, 1].map(|d| a.place[d] - b.place[d] - S::of(first[d] - there[d]));
+                    let area = cross(a.along, b.along);
+                    u = u - cross(apart, a.along) / area;
+                    cross(apart, b.along) / area
+                })
             }
         }
-        t
     }
+}
+
+/// The parameter of the point of an outline that is nearest to a place.
+fn nearest(outline: &Outline, plane: &Plane, p: [f64; 2]) -> f64 {
+    let at = |u: f64| outline.points(&[u], &outline.numbers)[0];
+    let samples = outline.samples(SAMPLES);
+    let points = outline.points(&samples, &outline.numbers);
+    let distance = |k: usize| length(plane.between(p, points[k].place));
+    let first = (0..samples.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(0);
+    let mut u = samples[first];
+    for _ in 0..STEPS {
+        let on = at(u);
+        let r = plane.between(on.place, p);
+        let step = (r[0] * on.along[0] + r[1] * on.along[1]) / (on.along[0].powi(2) + on.along[1].powi(2));
+        u += step;
+        if step.abs() < 1e-15 {
+            break;
+        }
+    }
+    u.rem_euclid(1.0)
 }
 
 /// A part of an outline that is in the fluid, between the ends at which it goes into walls.
@@ -74,14 +149,20 @@ impl Stretch {
         t >= from && t <= to || t + 1.0 >= from && t + 1.0 <= to || t - 1.0 >= from && t - 1.0 <= to
     }
 
-    /// The parameters of its ends for numbers of the shape.
-    pub fn parameters<S: Scalar>(&self, outline: &Outline, numbers: &[S]) -> [S; 2] {
-        self.ends.map(|end| end.parameter(outline, numbers))
+    /// The parameters of its ends for numbers of all shapes.
+    pub fn parameters<S: Scalar>(&self, outlines: &[Outline], numbers: &[Vec<S>]) -> [S; 2] {
+        self.ends.map(|end| end.parameter(outlines, self.shape, numbers))
+    }
+
+    /// Whether its points move with the numbers of a shape.
+    pub fn follows(&self, shape: usize) -> bool {
+        let is_in = |end: &End| matches!(end.footing, Footing::Shape(other, _) if other == shape);
+        self.shape == shape || self.ends.iter().any(is_in)
     }
 
     /// The parameter of a point, given those of the ends, and its derivative by the one that it has in the cloud.
     pub fn slid<S: Scalar>(&self, outline: &Outline, to: [S; 2], t: f64) -> (S, S) {
-        if self.ends.iter().all(|end| end.side.is_none()) {
+        if self.ends.iter().all(|end| end.footing == Footing::Nothing) {
             return (S::of(t), S::of(1.0));
         }
         let [a, b] = self.ends.map(|end| end.t);
