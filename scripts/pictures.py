@@ -39,6 +39,7 @@ QUICK = [
         ("page.png", "report.html", 1120, EPOCH)]),
     (["optimize", "pin.toml", "--epochs", "5", "--no-verify"], [("pin.png", "temperature.png", 640)]),
     (["optimize", f"{EXAMPLES}/three-pins.toml", "--no-verify"], [("three-pins.png", "temperature.png", 720)]),
+    (["optimize", f"{EXAMPLES}/fins.toml", "--no-verify"], [("fins.png", "temperature.png", 720)]),
     (["simulate", f"{EXAMPLES}/three-pins.toml", "--error"], [("error-of-heat.png", "error.png", 720)]),
     (["optimize", "shaped-floor", "--no-verify"], [("shaped-floor.png", "temperature.png", 520)]),
     (["simulate", f"{EXAMPLES}/cylinder.toml"], [("cylinder.png", "temperature.png", 720)]),
