@@ -66,6 +66,20 @@ def outline(shape, count):
     return np.stack([np.interp(at, way, closed[:, d]) for d in (0, 1)], 1)
 
 
+def triangles():
+    """The triangles of the model that gmsh has, which ends."""
+    gmsh.option.setNumber("Mesh.Algorithm", 6)
+    gmsh.model.mesh.generate(2)
+    tags, places, _ = gmsh.model.mesh.getNodes()
+    places = places.reshape(-1, 3)[:, :2]
+    _, corners = gmsh.model.mesh.getElementsByType(2)
+    index = np.zeros(int(tags.max()) + 1, int)
+    index[tags.astype(int)] = np.arange(len(tags))
+    used, inverse = np.unique(index[corners.astype(int).reshape(-1, 3)], return_inverse=True)
+    gmsh.finalize()
+    return skfem.MeshTri(places[used].T.copy(), inverse.reshape(-1, 3).T.copy())
+
+
 def mesh(size, bodies, far, periodic):
     """Triangles around the bodies."""
     gmsh.initialize()
@@ -86,16 +100,7 @@ def mesh(size, bodies, far, periodic):
     if periodic:
         gmsh.model.mesh.setPeriodic(1, [edges[1]], [edges[3]], [1, 0, 0, size[0], 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1])
     gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
-    gmsh.option.setNumber("Mesh.Algorithm", 6)
-    gmsh.model.mesh.generate(2)
-    tags, places, _ = gmsh.model.mesh.getNodes()
-    places = places.reshape(-1, 3)[:, :2]
-    _, triangles = gmsh.model.mesh.getElementsByType(2)
-    index = np.zeros(int(tags.max()) + 1, int)
-    index[tags.astype(int)] = np.arange(len(tags))
-    used, inverse = np.unique(index[triangles.astype(int).reshape(-1, 3)], return_inverse=True)
-    gmsh.finalize()
-    return skfem.MeshTri(places[used].T.copy(), inverse.reshape(-1, 3).T.copy())
+    return triangles()
 
 
 def formula(text, x, y):

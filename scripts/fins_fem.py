@@ -17,8 +17,7 @@ import gmsh
 import numpy as np
 import scipy.sparse as sparse
 import scipy.sparse.linalg as solvers
-import skfem
-from bodies_fem import formula
+from bodies_fem import formula, triangles
 from skfem import Basis, BilinearForm, ElementTriP1, ElementTriP2, ElementVector, FacetBasis, Functional, asm
 from skfem.helpers import ddot, div, dot, grad, mul
 
@@ -67,15 +66,7 @@ def mesh(size, fins, edges, far):
     q = [g.addPoint(*x, 0, size) for x, size in zip(points, h)]
     g.addPlaneSurface([g.addCurveLoop([g.addLine(q[i], q[(i + 1) % len(q)]) for i in range(len(q))])])
     g.synchronize()
-    gmsh.option.setNumber("Mesh.Algorithm", 6)
-    gmsh.model.mesh.generate(2)
-    tags, places, _ = gmsh.model.mesh.getNodes()
-    _, triangles = gmsh.model.mesh.getElementsByType(2)
-    index = np.zeros(int(tags.max()) + 1, int)
-    index[tags.astype(int)] = np.arange(len(tags))
-    used, inverse = np.unique(index[triangles.astype(int).reshape(-1, 3)], return_inverse=True)
-    gmsh.finalize()
-    return skfem.MeshTri(places.reshape(-1, 3)[used, :2].T.copy(), inverse.reshape(-1, 3).T.copy())
+    return triangles()
 
 
 def flow(scene, count, far):

@@ -26,9 +26,11 @@
 
 use super::equations::Bar;
 use super::nearest::{Nearest, Plane};
+use super::outline::cross;
 use super::particles::{At, Cloud};
-use super::placing::{BoundaryPoint, Places};
+use super::placing::{bounds, BoundaryPoint, Places};
 use super::traction::Patch;
+use crate::numerics::sparse_lu::dot;
 
 /// The largest distances of three lines from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no rounding
 /// decides which of them belong to it.)
@@ -131,14 +133,6 @@ fn thinned(points: &[[f64; 2]], apart: f64) -> Vec<[f64; 2]> {
     found
 }
 
-/// The lower and upper corner of the box around points.
-fn bounds(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
-    let of = |first: f64, choose: fn(f64, f64) -> f64| {
-        std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(first, choose))
-    };
-    [of(f64::MAX, f64::min), of(f64::MIN, f64::max)]
-}
-
 /// What a shape stands on.
 pub struct Walls {
     /// Sides of the box, see [`super::placing::BoundaryPoint::side`].
@@ -179,10 +173,7 @@ fn turn(places: &Places, feet: &[Foot], wall: usize) -> f64 {
     let on_wall =
         feet.iter().map(|foot| &places.boundary[foot.point]).filter(|point| point.on.is_some_and(|on| on.0 == wall));
     let normals: Vec<[f64; 2]> = on_wall.map(|point| point.normal).collect();
-    let angle = |n: &[f64; 2]| {
-        let first = normals[0];
-        (first[0] * n[1] - first[1] * n[0]).atan2(first[0] * n[0] + first[1] * n[1])
-    };
+    let angle = |n: &[f64; 2]| cross(normals[0], *n).atan2(dot(&normals[0], n));
     let [least, most] = normals.iter().map(angle).fold([0.0f64; 2], |[least, most], x| [least.min(x), most.max(x)]);
     most - least
 }

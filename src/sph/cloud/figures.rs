@@ -99,13 +99,13 @@ impl Measures {
                 points[shape].push(k);
             }
         }
-        let in_time = settings.balanced == Balanced::Momentum;
+        let (in_time, numbers) = (settings.balanced == Balanced::Momentum, cloud.numbers());
         let contours = (0..shapes).map(|shape| {
             let is_told = settings.balanced != Balanced::Nothing && places.touching.contains(&shape);
             let line = is_told.then(|| Contour::around(cloud, shape, points[shape].clone(), in_time)).flatten()?;
             let feet: Vec<usize> = line.feet().iter().map(|foot| foot.point).collect();
-            let is_known =
-                !in_time || !(breathes(cloud, &points[shape]) || breathes(cloud, &feet) || leaves(cloud, &feet));
+            let leaves = || feet.iter().any(|&k| cloud.leaves(&places.boundary[k], &numbers));
+            let is_known = !in_time || !(breathes(cloud, &points[shape]) || breathes(cloud, &feet) || leaves());
             is_known.then_some(line)
         });
         let contours: Vec<Option<Contour>> = contours.collect();
@@ -607,18 +607,9 @@ impl Measures {
     }
 }
 
-/// Whether fluid leaves the box at any of these points.
-fn leaves(cloud: &Cloud, points: &[usize]) -> bool {
-    let numbers: Vec<Vec<f64>> = cloud.ground.outlines.iter().map(|outline| outline.numbers.clone()).collect();
-    points.iter().map(|&k| &cloud.places.boundary[k]).any(|point| {
-        let place = cloud.places.place[point.particle];
-        matches!(cloud.surroundings.condition(point, place, 0.0, &numbers).0, Motion::Outflow(_))
-    })
-}
-
 /// Whether fluid goes through the surface of a shape, by formulas that have the time.
 fn breathes(cloud: &Cloud, points: &[usize]) -> bool {
-    let numbers: Vec<Vec<f64>> = cloud.ground.outlines.iter().map(|outline| outline.numbers.clone()).collect();
+    let numbers = cloud.numbers();
     // At times that belong together by no likely period.
     let times = [0.0, 0.37, 1.13, 2.71];
     cloud.surroundings.has_time()

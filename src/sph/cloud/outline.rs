@@ -195,7 +195,11 @@ fn scaled<S: Scalar>(factor: S, a: [S; 2]) -> [S; 2] {
     [factor * a[0], factor * a[1]]
 }
 
-fn length<S: Scalar>(a: [S; 2]) -> S {
+pub(super) fn cross<S: Scalar>(a: [S; 2], b: [S; 2]) -> S {
+    a[0] * b[1] - a[1] * b[0]
+}
+
+pub(super) fn length<S: Scalar>(a: [S; 2]) -> S {
     (a[0] * a[0] + a[1] * a[1]).sqrt()
 }
 

@@ -7,7 +7,7 @@ use super::equations::{damping, Bar, BoundaryBar, Condition, Derivatives, Equati
 use super::fit::{Coefficients, Stencils};
 use super::fits::Fits;
 use super::nearest::{Nearest, Plane};
-use super::outline::{seeded, Dual, Scalar};
+use super::outline::{cross, seeded, Dual, Scalar};
 use super::placing::{BoundaryPoint, Ground, Places, Unplaceable};
 use super::sliding::{End, Footing, OnSide, Stretch};
 use super::smoothing::Smoothing;
@@ -116,10 +116,6 @@ impl At<'_> {
     pub fn place_on(&self, k: usize) -> [f64; 2] {
         [self.shaped.position[0][self.on(k)], self.shaped.position[1][self.on(k)]]
     }
-}
-
-fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
-    a[0] * b[1] - a[1] * b[0]
 }
 
 /// Whether two segments cross.
@@ -379,13 +375,15 @@ impl Cloud {
             return None;
         }
         let numbers = self.numbers();
-        let gives = |point: &&BoundaryPoint| {
-            let (motion, _) = self.surroundings.condition(point, places.place[point.particle], 0.0, &numbers);
-            matches!(motion, Motion::Outflow(_))
-        };
-        let with: Vec<usize> =
-            places.boundary.iter().filter(gives).map(|point| first(&mut same, point.particle)).collect();
+        let out: Vec<&BoundaryPoint> = places.boundary.iter().filter(|point| self.leaves(point, &numbers)).collect();
+        let with: Vec<usize> = out.into_iter().map(|point| first(&mut same, point.particle)).collect();
         parts.into_iter().find(|part| !with.contains(part))
+    }
+
+    /// Whether fluid leaves the box at a point, given the numbers of all shapes.
+    pub(super) fn leaves(&self, point: &BoundaryPoint, numbers: &[Vec<f64>]) -> bool {
+        let place = self.places.place[point.particle];
+        matches!(self.surroundings.condition(point, place, 0.0, numbers).0, Motion::Outflow(_))
     }
 
     pub fn particles(&self) -> usize {
@@ -449,9 +447,11 @@ impl Cloud {
 
     /// The parameter of a point on a shape, given those of the ends of all stretches, and its derivative by the one that it has here.
     fn slid<S: Scalar>(&self, shape: usize, t: f64, ends: &[[S; 2]]) -> (S, S) {
-        let stretches = self.places.stretches.iter().zip(ends);
-        let own = stretches.filter(|(stretch, _)| stretch.shape == shape && stretch.has(t)).last();
-        own.map_or((S::of(t), S::of(1.0)), |(stretch, &to)| stretch.slid(&self.ground.outlines[shape], to, t))
+        let own = self.places.stretches.iter().zip(ends).filter(|(stretch, _)| stretch.shape == shape);
+        let slid = |(stretch, to): (&Stretch, &[S; 2])| {
+            stretch.between(t).map(|t| stretch.slid(&self.ground.outlines[shape], *to, t))
+        };
+        own.filter_map(slid).last().unwrap_or((S::of(t), S::of(1.0)))
     }
 
     /// The parameters of the ends of all stretches for numbers of the shapes.
@@ -464,11 +464,10 @@ impl Cloud {
         let of = |(stretch, to): (&Stretch, &[S; 2])| {
             let outline = &self.ground.outlines[stretch.shape];
             let moved = |k: usize| {
-                let End { t, footing } = stretch.ends[k];
+                let End { place, footing, .. } = stretch.ends[k];
                 let Footing::Side(side) = footing else { return S::of(0.0) };
                 let along = 1 - side / 2;
-                let old = outline.points(&[t], &outline.numbers)[0].place[along];
-                outline.points_at(&[to[k]], &numbers[stretch.shape])[0].place[along] - S::of(old)
+                outline.points_at(&[to[k]], &numbers[stretch.shape])[0].place[along] - S::of(place[along])
             };
             [0, 1].map(moved)
         };
@@ -486,11 +485,9 @@ impl Cloud {
         let all = || (0..boundary.len()).filter_map(given);
         let range = all().fold(f64::MIN, f64::max) - all().fold(f64::MAX, f64::min);
         let step = |stretch: &Stretch, end: &End| {
-            let outline = &self.ground.outlines[stretch.shape];
-            let p = outline.points(&[end.t], &outline.numbers)[0].place;
             let nearest = |is_wanted: &dyn Fn(&BoundaryPoint) -> bool| {
                 let wanted = (0..boundary.len()).filter(|&k| is_wanted(&boundary[k]));
-                let distance = |k: usize| self.ground.plane.distance(place[boundary[k].particle], p);
+                let distance = |k: usize| self.ground.plane.distance(place[boundary[k].particle], end.place);
                 wanted.min_by(|a, b| distance(*a).total_cmp(&distance(*b))).and_then(given)
             };
             let own = nearest(&|point| point.on.is_some_and(|on| on.0 == stretch.shape))?;

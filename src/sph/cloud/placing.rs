@@ -112,6 +112,14 @@ pub struct Polygon {
     high: [f64; 2],
 }
 
+/// The lower and upper corner of the box around points.
+pub(super) fn bounds(points: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    let of = |first: f64, choose: fn(f64, f64) -> f64| {
+        std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(first, choose))
+    };
+    [of(f64::INFINITY, f64::min), of(f64::NEG_INFINITY, f64::max)]
+}
+
 impl std::ops::Deref for Polygon {
     type Target = [[f64; 2]];
 
@@ -124,8 +132,7 @@ impl Polygon {
     /// An outline as points that are close to each other.
     pub fn of(points: &[OnOutline<f64>]) -> Self {
         let points: Vec<[f64; 2]> = points.iter().map(|point| point.place).collect();
-        let low = std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(f64::INFINITY, f64::min));
-        let high = std::array::from_fn(|d| points.iter().map(|p| p[d]).fold(f64::NEG_INFINITY, f64::max));
+        let [low, high] = bounds(&points);
         Self { points, low, high }
     }
 
@@ -659,9 +666,8 @@ impl Ground {
         let on_side = |side: usize, p: [f64; 2]| self.plane.wrapped(p)[1 - side / 2];
         let ends = places.stretches.iter().enumerate().flat_map(|(k, stretch)| {
             let of = move |end: usize| {
-                let (outline, End { t, footing }) = (&self.outlines[stretch.shape], stretch.ends[end]);
+                let End { place, footing, .. } = stretch.ends[end];
                 let Footing::Side(side) = footing else { return None };
-                let place = outline.points(&[t], &outline.numbers)[0].place;
                 Some((side, Mark { at: on_side(side, place), end: Some((k, end)) }))
             };
             [0, 1].into_iter().filter_map(of)

@@ -13,7 +13,7 @@
 //! grow as the distances do. (As a mesh does whose nodes slide along the boundary of a domain.)
 
 use super::nearest::Plane;
-use super::outline::{Outline, Scalar};
+use super::outline::{cross, length, Outline, Scalar};
 
 /// The least sine of the angle between an outline and the wall that it goes into.
 const SLANT: f64 = 1e-3;
@@ -40,15 +40,8 @@ pub enum Footing {
 #[derive(Debug, Clone, Copy)]
 pub struct End {
     pub t: f64,
+    pub place: [f64; 2],
     pub footing: Footing,
-}
-
-fn cross<S: Scalar>(a: [S; 2], b: [S; 2]) -> S {
-    a[0] * b[1] - a[1] * b[0]
-}
-
-fn length(a: [f64; 2]) -> f64 {
-    a[0].hypot(a[1])
 }
 
 impl End {
@@ -61,7 +54,7 @@ impl End {
             !plane.periodic[d] && distance(*side) < AT_SIDE * dx && on.along[d].abs() > SLANT * length(on.along)
         };
         if let Some(side) = (0..4).filter(is_on).min_by(|a, b| distance(*a).total_cmp(&distance(*b))) {
-            return Self { t, footing: Footing::Side(side) };
+            return Self { t, place: on.place, footing: Footing::Side(side) };
         }
         let goes_into = |other: usize| {
             let outline = &outlines[other];
@@ -72,13 +65,12 @@ impl End {
             is_there.then_some(Footing::Shape(other, u))
         };
         let footing = (0..outlines.len()).filter(|&other| other != shape).find_map(goes_into);
-        Self { t, footing: footing.unwrap_or(Footing::Nothing) }
+        Self { t, place: on.place, footing: footing.unwrap_or(Footing::Nothing) }
     }
 
     /// Its parameter for other numbers of all shapes. (By Newton's method; the last step, where nothing is left, gives slopes.)
     fn parameter<S: Scalar>(&self, outlines: &[Outline], shape: usize, numbers: &[Vec<S>]) -> S {
-        let outline = &outlines[shape];
-        let first = outline.points(&[self.t], &outline.numbers)[0].place;
+        let (outline, first) = (&outlines[shape], self.place);
         let mut t = S::of(self.t);
         let mut steps = |step: &mut dyn FnMut(S) -> S| {
             for _ in 0..STEPS {
@@ -116,14 +108,13 @@ impl End {
 
 /// The parameter of the point of an outline that is nearest to a place.
 fn nearest(outline: &Outline, plane: &Plane, p: [f64; 2]) -> f64 {
-    let at = |u: f64| outline.points(&[u], &outline.numbers)[0];
     let samples = outline.samples(SAMPLES);
     let points = outline.points(&samples, &outline.numbers);
     let distance = |k: usize| length(plane.between(p, points[k].place));
     let first = (0..samples.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))).unwrap_or(0);
     let mut u = samples[first];
     for _ in 0..STEPS {
-        let on = at(u);
+        let on = outline.points(&[u], &outline.numbers)[0];
         let r = plane.between(on.place, p);
         let step = (r[0] * on.along[0] + r[1] * on.along[1]) / (on.along[0].powi(2) + on.along[1].powi(2));
         u += step;
@@ -143,10 +134,10 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// Whether a parameter within 0 and 1 is in it.
-    pub fn has(&self, t: f64) -> bool {
+    /// A parameter within 0 and 1 as one between those of the ends, if it is in it.
+    pub fn between(&self, t: f64) -> Option<f64> {
         let [from, to] = self.ends.map(|end| end.t);
-        t >= from && t <= to || t + 1.0 >= from && t + 1.0 <= to || t - 1.0 >= from && t - 1.0 <= to
+        [t, t + 1.0, t - 1.0].into_iter().find(|t| (from..=to).contains(t))
     }
 
     /// The parameters of its ends for numbers of all shapes.
@@ -160,13 +151,12 @@ impl Stretch {
         self.shape == shape || self.ends.iter().any(is_in)
     }
 
-    /// The parameter of a point, given those of the ends, and its derivative by the one that it has in the cloud.
+    /// The parameter of a point of it, given those of the ends, and its derivative by the one that it has in the cloud, see [`Self::between`].
     pub fn slid<S: Scalar>(&self, outline: &Outline, to: [S; 2], t: f64) -> (S, S) {
         if self.ends.iter().all(|end| end.footing == Footing::Nothing) {
             return (S::of(t), S::of(1.0));
         }
         let [a, b] = self.ends.map(|end| end.t);
-        let t = [t, t + 1.0, t - 1.0].into_iter().find(|t| (a..=b).contains(t)).unwrap_or(t);
         // The next corners.
         let [after, before] = match outline.piece() {
             Some(width) => [(a / width).floor() * width + width, (b / width).ceil() * width - width],
