@@ -590,7 +590,7 @@ fn examples_can_be_checked_and_run() {
         assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
         text
     };
-    assert_eq!(examples().len(), 10);
+    assert_eq!(examples().len(), 11);
     for file in examples() {
         let name = file.file_stem().unwrap().to_str().unwrap();
         let is_fixed = std::fs::read_to_string(&file).unwrap().contains("name = \"fixed\"");

@@ -234,7 +234,7 @@ impl Surroundings for AtRest {
 fn flow(ground: Ground, viscosity: f64, diffusivity: Option<f64>, velocity: f64) -> SteadyFlow {
     let fluid = Fluid { viscosity, diffusivity, force: [1.0, 0.0, 0.0], buoyancy: None, velocity };
     let cloud = Cloud::new(ground, fluid, Arc::new(AtRest), 2).expect("a cloud");
-    SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balanced: Balanced::All }, 2)
+    SteadyFlow::new(cloud, None, MeasureSettings { probes: &[], target: 0.0, balanced: Balanced::Steady }, 2)
         .expect("a flow")
 }
 

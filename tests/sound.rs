@@ -129,6 +129,30 @@ fn the_gradient_agrees_with_differences() {
     }
 }
 
+/// The same of what a line tells of a hot box on the floor of a pulsating stream, with buoyancy: heat and drag, with sound and without, and with
+/// what its steps lack.
+#[test]
+fn heat_and_drag_by_a_line_have_exact_derivatives() {
+    let text = "scene = \"custom\"\nmethod.name = \"fixed\"\nmethod.flow = \"unsteady\"\nregion.size = [1.4, 0.8]\n\
+        region.periodic = [false, false]\nregion.acceleration = [0.1, -1.0]\nfluid.viscosity = 0.05\nfluid.conductivity = 0.05\n\
+        fluid.expansion = 0.5\nfluid.inlet_temperature = 0.0\ninitial.temperature = 0.0\nresolution.dx = 0.08\ntime.end = 0.1\n\
+        region.sides.left = { kind = \"inflow\", velocity = [\"6*y*(0.8-y)*(1 + 0.5*sin(9*t))\", 0], temperature = 0 }\n\
+        region.sides.right = { kind = \"outflow\" }\nobjective.window = 0.06\n\
+        objective.terms = [{ kind = \"shape-heat\", shapes = [0] }, { kind = \"drag\", shapes = [0], weight = 0.2 }]\n\
+        [[shapes]]\nkind = \"box\"\nlower = [0.5, -0.2]\nupper = [0.7, 0.35]\ntemperature = \"1 + 0.5*x\"\n\
+        [[variables]]\nnumber = \"shapes[0].upper[1]\"\nlower = 0.3\nupper = 0.4\n\
+        [[variables]]\nnumber = \"shapes[0].lower[0]\"\nlower = 0.4\nupper = 0.6\n";
+    let folder = TempDir::new().unwrap();
+    fs::write(folder.path().join("scene.toml"), text).unwrap();
+    for key in
+        ["method.pressure=incompressible", "method.deferred_correction=true", "method.pressure=weakly-compressible"]
+    {
+        let text = succeeds(folder.path(), &["check-gradient", "scene.toml", "--threads", "2", "--set", key]);
+        println!("{key}: {text}");
+        assert!(text.contains("PASSED") && text.contains("allowed 1e-6"), "{text}");
+    }
+}
+
 /// With less memory states are made again, by the same steps.
 #[test]
 fn the_gradient_is_the_same_in_any_memory() {

@@ -24,7 +24,8 @@ use std::time::Instant;
 const REST: f64 = 0.03;
 
 fn warnings_of(around: &AroundBodies, solution: &Solution, figures: &Figures) -> Vec<Warning> {
-    let mut found = imbalances(figures, |_| false, &finer(around.config()));
+    // Sums over points are 13 to 35 % off where a surface around the shape is 1 to 2 % off, and do not say by how much it is.
+    let mut found = imbalances(figures, |k| around.flow.measures.is_told_around(k), &finer(around.config()));
     let rest = around.rest(solution);
     if rest > REST {
         let problem =

@@ -46,11 +46,12 @@ fn number(figures: &Figures, name: &str) -> Option<f64> {
 /// Figures by name, see [`AroundShapes::summary`].
 pub type Figures = [(&'static str, Value)];
 
-/// Warnings about shapes whose surface does not agree with the balance, but for those that have corners, where a surface always misses something.
-pub fn imbalances(figures: &Figures, has_corners: impl Fn(usize) -> bool, advice: &str) -> Vec<Warning> {
+/// Warnings about shapes whose surface does not agree with the balance, but for those of which that tells nothing: in the plane those that have
+/// corners, where a surface always misses something, in space those with a closed surface around them.
+pub fn imbalances(figures: &Figures, tells_nothing: impl Fn(usize) -> bool, advice: &str) -> Vec<Warning> {
     let shapes = figures.iter().find(|(name, _)| *name == "shapes").and_then(|(_, shapes)| shapes.as_array().cloned());
     let mut found = vec![];
-    for (k, shape) in shapes.into_iter().flatten().enumerate().filter(|(k, _)| !has_corners(*k)) {
+    for (k, shape) in shapes.into_iter().flatten().enumerate().filter(|(k, _)| !tells_nothing(*k)) {
         for (name, by_surface) in [("force", "force_by_surface"), ("heat", "heat_by_surface")] {
             let of = |key: &str| match &shape[key] {
                 Value::Array(parts) => parts.iter().filter_map(Value::as_f64).map(|x| x * x).sum::<f64>().sqrt(),

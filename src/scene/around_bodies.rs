@@ -19,7 +19,7 @@ use crate::sph::cloud::space::facets::Facets;
 use crate::sph::cloud::space::particles::{Cloud, Surroundings};
 use crate::sph::cloud::space::placing::{BoundaryPoint, Ground};
 use crate::sph::cloud::space::problem::{Solution, SteadyFlow};
-use crate::sph::cloud::space::surface::{across, Form, Surface};
+use crate::sph::cloud::space::surface::{across, Form, Standing, Surface};
 use crate::sph::laws::buoyancy::Buoyancy;
 use std::path::Path;
 use std::sync::Arc;
@@ -112,7 +112,9 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
             Some(whole(Form::Ball, all))
         }
         Kind::Box => {
-            Some(whole(Form::Box, [vector(Part::Lower, &entry.lower), vector(Part::Upper, &entry.upper)].concat()))
+            let all = [vector(Part::Lower, &entry.lower), vector(Part::Upper, &entry.upper)].concat();
+            let numbers: Vec<f64> = all.iter().map(|(_, x)| *x).collect();
+            Some(whole(Form::Box(Standing::new(region, &numbers)), all))
         }
         Kind::Cylinder => {
             let (axis, centre) = (entry.axis.unwrap_or_default().direction(), entry.centre.as_ref()?);

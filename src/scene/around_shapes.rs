@@ -318,7 +318,7 @@ impl AroundShapes {
                 let chosen = if shapes.is_empty() { &places.touching } else { &chosen };
                 // What stands on walls is there as far as it is in the fluid.
                 let is_there = |shape: usize, p: [f64; 2]| {
-                    places.bodies.contains(&shape) || !ground.is_solid(&places.polygons, p, shape)
+                    places.bodies.contains(&shape) || !ground.is_solid(&places.polygons, p, Some(shape))
                 };
                 // The nearest pair: (distance, direction from a to b, a, b or none for a side).
                 type Nearest = (f64, [f64; 2], (usize, usize), Option<(usize, usize)>);
@@ -438,9 +438,9 @@ fn holds_ends(cloud: &Cloud, (shape, number): (usize, usize)) -> bool {
 /// What a configuration asks of figures.
 pub(super) fn measure_settings<'a, const D: usize>(config: &Config, probes: &'a [[f64; D]]) -> MeasureSettings<'a, D> {
     let balanced = match config.unsteady() {
-        None => Balanced::All,
-        Some(_) if config.has_sound() => Balanced::Nothing,
-        Some(_) => Balanced::Momentum,
+        None => Balanced::Steady,
+        Some(_) if config.has_sound() => Balanced::WithSound,
+        Some(_) => Balanced::InTime,
     };
     MeasureSettings { probes, target: config.objective.target_x, balanced }
 }
@@ -495,11 +495,11 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
             format!("shapes[{shape}]"),
             match *width > 0.0 {
                 true => format!("shapes[{shape}] is only {width:.2e} from another shape"),
-                false => format!("shapes[{shape}] cuts another shape or a side of the box"),
+                false => format!("shapes[{shape}] cuts another shape or a side of the region, or is not in it"),
             },
         )
         .allowed(
-            "shapes in the box that are at least a spacing apart; cylinders and extruded shapes reach from side to side along their axis",
+            "shapes in the region that are at least a spacing apart; boxes may stand on its sides and reach through them; cylinders and extruded shapes reach from side to side along their axis",
         ),
         Unusable::Placing(Unplaceable::Narrow { shape, width: 0.0 }) => BadInput::at(
             format!("shapes[{shape}]"),

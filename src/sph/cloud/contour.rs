@@ -15,6 +15,10 @@
 //!   force = int_C (t - u u.n - r du/dt . n) + f A.
 //! ```
 //!
+//! Of heat it is the mean of dT/dt (by the equation of heat) within C, times A: of particles, each with the share of the area that is nearest
+//! to it. Since these shares do not change, it is nothing over a period. Buoyancy has the mean of its particles, too. With sound, where div u
+//! is not 0, both are told so, by the means of du/dt - u div u and dT/dt - T div u.
+//!
 //! This is more accurate by far than sums over the points on the surface: pressure and flux are singular at corners, and vary fast
 //! elsewhere, while fields on C are smooth. C is the mean of three lines, 3 to 7 dx away and no farther than half of the way to what is
 //! next. They follow cells of the lattice, with corners moved to the nearest particles, which carry them. Between two particles fields and
@@ -24,13 +28,15 @@
 //! ([`Contour::feet`]), through which flows what sums over their points say: beside the corner that a fin has with its wall fields are
 //! smooth, other than at its tip.
 
-use super::equations::Bar;
+use super::equations::{Bar, Warmth};
+use super::figures::Balanced;
 use super::nearest::{Nearest, Plane};
 use super::outline::cross;
 use super::particles::{At, Cloud};
 use super::placing::{bounds, BoundaryPoint, Places};
 use super::traction::Patch;
 use crate::numerics::sparse_lu::dot;
+use std::collections::BTreeMap;
 
 /// The largest distances of three lines from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no rounding
 /// decides which of them belong to it.)
@@ -47,6 +53,9 @@ const ASIDE: [f64; 2] = [0.023, 0.017];
 const TURN: f64 = 1.0;
 /// Distances from a body are those from points on it that are so far from each other, in dx.
 const THINNED: f64 = 0.1;
+
+/// Parts of a cell along x and y, whose areas go to the nearest particles.
+const PARTS: usize = 4;
 
 /// A corner of the line: a particle, or an image of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,10 +93,11 @@ pub struct Contour {
     surface: Vec<usize>,
     /// What closes the line around a shape that stands on walls.
     feet: Vec<Foot>,
+    /// The particles within the lines with their shares of the area, in a flow that may not be steady or has buoyancy.
+    within: Vec<(usize, f64)>,
     /// A point within the body, or near it.
     origin: [f64; 2],
-    /// Whether the flow may not be steady.
-    in_time: bool,
+    balanced: Balanced,
 }
 
 /// A point of a piece.
@@ -269,7 +279,7 @@ impl Grid {
         let mut grid = Self { cells: vec![], count, step, corner };
         let of = |k: usize| {
             let p = grid.place((k / count[1]) as f64 + 0.5, (k % count[1]) as f64 + 0.5);
-            if !walls.is_none() && ground.is_solid(&places.polygons, p, shape) {
+            if !walls.is_none() && ground.is_solid(&places.polygons, p, Some(shape)) {
                 return Cell::Wall;
             }
             if whole.contains(p) {
@@ -324,6 +334,38 @@ impl Grid {
         found
     }
 
+    /// The particles within the lines, with their shares of the fluid's area there. (A point of a wall has its own if what is there does not
+    /// change; otherwise the next particle inside has it.)
+    fn shares(&self, cloud: &Cloud, to_inside: &Nearest) -> Vec<(usize, f64)> {
+        let (ground, places) = (&cloud.ground, &cloud.places);
+        let (plane, most, numbers) = (ground.plane, 4.0 * ground.far * ground.dx, cloud.numbers());
+        let all: Vec<[f64; 2]> = places.place.iter().map(|&p| plane.wrapped(p)).collect();
+        let to_all = Nearest::new(plane, ground.dx, &all);
+        let is_given = |k: usize| {
+            let point = &places.boundary[k];
+            let (_, warmth) = cloud.surroundings.condition(point, places.place[point.particle], 0.0, &numbers);
+            !cloud.surroundings.has_time() && matches!(warmth, Warmth::Given(_))
+        };
+        let mut found = BTreeMap::new();
+        for (i, j) in (0..self.count[0]).flat_map(|i| (0..self.count[1]).map(move |j| (i, j))) {
+            let Cell::Within(least) = self.cell([i as i64, j as i64]) else { continue };
+            let part = |k: usize| (k as f64 + 0.5) / PARTS as f64;
+            for (a, b) in (0..PARTS).flat_map(|a| (0..PARTS).map(move |b| (a, b))) {
+                let p = plane.wrapped(self.place(i as f64 + part(a), j as f64 + part(b)));
+                if ground.is_solid(&places.polygons, p, None) {
+                    continue;
+                }
+                let own = to_all.one(p, most).map(|(_, particle)| particle);
+                let own = own.filter(|&i| i.checked_sub(places.inside).is_none_or(is_given));
+                if let Some(particle) = own.or_else(|| Some(to_inside.one(p, most)?.1)) {
+                    *found.entry(particle).or_insert(0.0) += (REACHES.len() - least) as f64;
+                }
+            }
+        }
+        let total: f64 = found.values().sum();
+        found.into_iter().map(|(particle, share)| (particle, share / total)).collect()
+    }
+
     /// Whether a wall is next to a corner of cells.
     fn is_on_wall(&self, [i, j]: [i64; 2]) -> bool {
         (0..4).any(|k| self.cell([i - k / 2, j - k % 2]) == Cell::Wall)
@@ -331,10 +373,10 @@ impl Grid {
 }
 
 impl Contour {
-    /// The line around a shape, given the points on its surface, in a flow that is steady or not. None around a shape that goes along a whole
+    /// The line around a shape, given the points on its surface. None around a shape that goes along a whole
     /// period, or from side to side without a corner: sums over it are as accurate, for they have the fits of third order. None where walls
     /// that it stands on turn within the line: these would have the errors at corners that the line is for.
-    pub fn around(cloud: &Cloud, shape: usize, surface: Vec<usize>, in_time: bool) -> Option<Self> {
+    pub fn around(cloud: &Cloud, shape: usize, surface: Vec<usize>, balanced: Balanced) -> Option<Self> {
         let (ground, places) = (&cloud.ground, &cloud.places);
         let (plane, dx) = (ground.plane, ground.dx);
         let [from, to] = places.polygons[shape].bounds();
@@ -344,7 +386,7 @@ impl Contour {
         let walls = Walls::of(cloud, shape);
         let goes_across = (0..2).any(|d| walls.sides.contains(&(2 * d)) && walls.sides.contains(&(2 * d + 1)));
         let has_corner =
-            || ground.outlines[shape].corners().iter().any(|&p| !ground.is_solid(&places.polygons, p, shape));
+            || ground.outlines[shape].corners().iter().any(|&p| !ground.is_solid(&places.polygons, p, Some(shape)));
         if goes_across && !has_corner() {
             return None;
         }
@@ -400,11 +442,13 @@ impl Contour {
         }
         let points = beside.polygon.len() as f64;
         let origin = std::array::from_fn(|d| beside.polygon.iter().map(|p| p[d]).sum::<f64>() / points);
-        Some(Self { pieces, surface, feet, origin, in_time })
+        let needs_within = balanced != Balanced::Steady || cloud.fluid.buoyancy.is_some();
+        let within = if needs_within { grid.shares(cloud, &to_particles) } else { vec![] };
+        Some(Self { pieces, surface, feet, within, origin, balanced })
     }
 
     pub fn is_steady(&self) -> bool {
-        !self.in_time
+        self.balanced == Balanced::Steady
     }
 
     /// The points of walls that the shape stands on, which close the line.
@@ -412,9 +456,10 @@ impl Contour {
         &self.feet
     }
 
-    /// The particles that the line goes through.
+    /// The particles that the line goes through, and those whose change in time it needs.
     pub fn particles(&self) -> impl Iterator<Item = usize> + '_ {
-        self.pieces.iter().flatten().map(|corner| corner.particle)
+        let through = self.pieces.iter().flatten().map(|corner| corner.particle);
+        through.chain(self.within.iter().map(|(particle, _)| *particle))
     }
 
     fn points(at: &At<'_>, piece: [Corner; 2]) -> [Point; 2] {
@@ -476,11 +521,55 @@ impl Contour {
         if i >= at.equations.inside {
             return [0.0; 2];
         }
-        let ([u, v], dp) = (at.velocity(i), &at.d.0[2][i]);
+        let ([u, v], dp, lift) = (at.velocity(i), &at.d.0[2][i], Self::buoyancy(at, i));
         std::array::from_fn(|e| {
             let d = &at.d.0[e][i];
             let lacks = at.defect.map_or(0.0, |defect| defect.flow[3 * i + e]);
-            body_force[e] - u * d[0] - v * d[1] - dp[e] + nu * (d[2] + d[4]) - lacks
+            body_force[e] + lift[e] - u * d[0] - v * d[1] - dp[e] + nu * (d[2] + d[4]) - lacks
+        })
+    }
+
+    fn buoyancy(at: &At<'_>, i: usize) -> [f64; 2] {
+        let of = |e: usize| at.equations.buoyancy.map_or(0.0, |buoyancy| buoyancy.along(e, at.state.fields[3][i]));
+        [of(0), of(1)]
+    }
+
+    fn buoyancy_back(at: &At<'_>, i: usize, of: [f64; 2], bar: &mut Bar) {
+        if let Some(buoyancy) = at.equations.buoyancy {
+            bar.fields[3][i] += of[0] * buoyancy.by[0] + of[1] * buoyancy.by[1];
+        }
+    }
+
+    /// What acts on the fluid within besides the body force, at a particle there: buoyancy, less what the fluid keeps where it has sound.
+    fn more(&self, at: &At<'_>, i: usize, body_force: [f64; 2]) -> [f64; 2] {
+        let lift = Self::buoyancy(at, i);
+        if self.balanced != Balanced::WithSound {
+            return lift;
+        }
+        let (u, divergence) = (at.velocity(i), at.d.0[0][i][0] + at.d.0[1][i][1]);
+        let change = Self::acceleration(at, Corner { particle: i, shift: [0.0; 2] }, body_force);
+        std::array::from_fn(|e| lift[e] - change[e] + u[e] * divergence)
+    }
+
+    fn more_back(&self, at: &At<'_>, i: usize, of: [f64; 2], bar: &mut Bar) {
+        Self::buoyancy_back(at, i, of, bar);
+        if self.balanced != Balanced::WithSound {
+            return;
+        }
+        let (u, divergence) = (at.velocity(i), at.d.0[0][i][0] + at.d.0[1][i][1]);
+        Self::acceleration_back(at, Corner { particle: i, shift: [0.0; 2] }, of.map(|x| -x), bar);
+        let along = of[0] * u[0] + of[1] * u[1];
+        for e in 0..2 {
+            bar.fields[e][i] += of[e] * divergence;
+            bar.derivatives.0[e][i][e] += along;
+        }
+    }
+
+    /// The mean of [`Self::more`].
+    fn mean_more(&self, at: &At<'_>, body_force: [f64; 2]) -> [f64; 2] {
+        self.within.iter().fold([0.0; 2], |sum, &(i, share)| {
+            let own = self.more(at, i, body_force);
+            std::array::from_fn(|e| sum[e] + share * own[e])
         })
     }
 
@@ -490,6 +579,7 @@ impl Contour {
             return;
         }
         let [u, v] = at.velocity(i);
+        Self::buoyancy_back(at, i, of, bar);
         if at.defect.is_some() {
             bar.defect.resize(at.equations.inside, [0.0; 2]);
             if let Some(to) = bar.defect.get_mut(i) {
@@ -525,7 +615,7 @@ impl Contour {
                 let [x, y] = [0, 1].map(|e| patch.push(at.equations.viscosity, e));
                 let r = [point.place[0] - centre[0], point.place[1] - centre[1]];
                 (sum[0], sum[1], sum[2]) = (sum[0] + x, sum[1] + y, sum[2] + r[0] * y - r[1] * x);
-                if self.in_time {
+                if self.balanced == Balanced::InTime {
                     let (n, change) = (point.normal, Self::change(at, piece, &point, body_force));
                     let out = change[0] * n[0] + change[1] * n[1];
                     let r = self.relative(point.place);
@@ -569,15 +659,16 @@ impl Contour {
     }
 
     /// Force on all within the line along x and y, on the shape and on its [`feet`](Self::feet), and their torque about a centre, given the
-    /// body force. (The torque is that of a steady flow.)
+    /// body force. (The torque is that of a steady flow without buoyancy.)
     pub fn force(&self, at: &At<'_>, body_force: [f64; 2], centre: [f64; 2]) -> [f64; 3] {
         let [x, y, torque] = self.through(at, body_force, centre);
-        let [fx, fy] = body_force;
-        if body_force == [0.0; 2] {
+        let ([fx, fy], more) = (body_force, self.mean_more(at, body_force));
+        if body_force == [0.0; 2] && self.within.is_empty() {
             return [x, y, torque];
         }
         let ([area, mx, my], centre) = (self.moments(at), self.relative(centre));
-        [x + fx * area, y + fy * area, torque + (mx - centre[0] * area) * fy - (my - centre[1] * area) * fx]
+        let torque = torque + (mx - centre[0] * area) * fy - (my - centre[1] * area) * fx;
+        [x + (fx + more[0]) * area, y + (fy + more[1]) * area, torque]
     }
 
     /// Adds the cotangents of [`Self::force`], given those of its three numbers; returns those of body force and centre.
@@ -608,7 +699,7 @@ impl Contour {
                     (0..2).for_each(|d| of_along[d] += more[d]);
                 }
                 let mut of_normal = back.area;
-                if self.in_time {
+                if self.balanced == Balanced::InTime {
                     let change = Self::change(at, piece, &point, body_force);
                     let out = change[0] * n[0] + change[1] * n[1];
                     let r = self.relative(point.place);
@@ -625,12 +716,19 @@ impl Contour {
                 Self::piece_back(piece, &point, of_along, of_normal, of_place, bar);
             }
         }
-        if body_force == [0.0; 2] {
+        if body_force == [0.0; 2] && self.within.is_empty() {
             return [of_force, of_centre];
         }
         let ([fx, fy], [area, mx, my], centre) = (body_force, self.moments(at), self.relative(centre));
+        let more = self.mean_more(at, body_force);
+        for &(i, share) in &self.within {
+            self.more_back(at, i, [0, 1].map(|e| weight[e] * area * share), bar);
+            if self.balanced == Balanced::WithSound && i < at.equations.inside {
+                (0..2).for_each(|e| of_force[e] -= weight[e] * area * share);
+            }
+        }
         let of_moments = [
-            weight[0] * fx + weight[1] * fy + weight[2] * (centre[1] * fx - centre[0] * fy),
+            weight[0] * (fx + more[0]) + weight[1] * (fy + more[1]) + weight[2] * (centre[1] * fx - centre[0] * fy),
             weight[2] * fy,
             -weight[2] * fx,
         ];
@@ -684,8 +782,55 @@ impl Contour {
         }
     }
 
+    /// The change of temperature in time at a particle; with sound less T div u.
+    fn warming(&self, at: &At<'_>, i: usize) -> f64 {
+        if i >= at.equations.inside {
+            return 0.0;
+        }
+        let ([u, v], d) = (at.velocity(i), &at.d.0[3][i]);
+        let lacks = at.defect.map_or(0.0, |defect| defect.heat[i]);
+        let change = at.equations.diffusivity.unwrap_or(0.0) * (d[2] + d[4]) - u * d[0] - v * d[1] - lacks;
+        match self.balanced {
+            Balanced::WithSound => change - at.state.fields[3][i] * (at.d.0[0][i][0] + at.d.0[1][i][1]),
+            _ => change,
+        }
+    }
+
+    fn warming_back(&self, at: &At<'_>, i: usize, of: f64, bar: &mut Bar) {
+        if i >= at.equations.inside {
+            return;
+        }
+        let ([u, v], d, alpha) = (at.velocity(i), &at.d.0[3][i], at.equations.diffusivity.unwrap_or(0.0));
+        if at.defect.is_some() {
+            bar.heat_defect.resize(at.equations.inside, 0.0);
+            bar.heat_defect[i] -= of;
+        }
+        bar.fields[0][i] -= of * d[0];
+        bar.fields[1][i] -= of * d[1];
+        let to = &mut bar.derivatives.0[3][i];
+        to[0] -= of * u;
+        to[1] -= of * v;
+        to[2] += of * alpha;
+        to[4] += of * alpha;
+        if self.balanced == Balanced::WithSound {
+            let t = at.state.fields[3][i];
+            bar.fields[3][i] -= of * (at.d.0[0][i][0] + at.d.0[1][i][1]);
+            (0..2).for_each(|e| bar.derivatives.0[e][i][e] -= of * t);
+        }
+    }
+
+    /// The mean of [`Self::warming`] within the lines.
+    fn mean_warming(&self, at: &At<'_>) -> f64 {
+        self.within.iter().map(|&(i, share)| share * self.warming(at, i)).sum()
+    }
+
     /// The heat that all within the line gives to the fluid, the shape and its [`feet`](Self::feet), per density and heat capacity.
     pub fn heat(&self, at: &At<'_>) -> f64 {
+        let kept = if self.is_steady() { 0.0 } else { self.moments(at)[0] * self.mean_warming(at) };
+        kept + self.heat_through(at)
+    }
+
+    fn heat_through(&self, at: &At<'_>) -> f64 {
         let alpha = at.equations.diffusivity.unwrap_or(0.0);
         let of = |piece: &[Corner; 2]| -> f64 {
             let at_point = |point: Point| {
@@ -701,6 +846,11 @@ impl Contour {
     /// Adds the cotangents of the heat.
     pub fn heat_back(&self, at: &At<'_>, weight: f64, bar: &mut Bar) {
         let alpha = at.equations.diffusivity.unwrap_or(0.0);
+        if !self.is_steady() {
+            let [area, ..] = self.moments(at);
+            self.moments_back(at, [weight * self.mean_warming(at), 0.0, 0.0], bar);
+            self.within.iter().for_each(|&(i, share)| self.warming_back(at, i, weight * area * share, bar));
+        }
         for &piece in &self.pieces {
             for point in Self::points(at, piece) {
                 let [u, v, t] = [0, 1, 3].map(|field| Self::read(at, piece, &point, field));

@@ -455,6 +455,8 @@ pub struct Bar<const D: usize = 2, const F: usize = 4, const C: usize = COEFFICI
     pub centres: Vec<(usize, [f64; 2])>,
     /// Of what slopes lack in the momentum inside ([`super::deferred_correction`]), `[inside]`, or empty.
     pub defect: Vec<[f64; D]>,
+    /// The same in the equation of heat.
+    pub heat_defect: Vec<f64>,
 }
 
 impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
@@ -469,6 +471,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
             volume: 0.0,
             centres: vec![],
             defect: vec![],
+            heat_defect: vec![],
         }
     }
 
@@ -516,6 +519,7 @@ impl<const D: usize, const F: usize, const C: usize> Bar<D, F, C> {
         (self.drive, self.viscosity, self.volume) = (0.0, 0.0, 0.0);
         self.centres.clear();
         self.defect.clear();
+        self.heat_defect.clear();
     }
 }
 

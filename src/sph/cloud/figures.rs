@@ -42,15 +42,15 @@ pub enum Figure {
     Dissipation,
 }
 
-/// Which figures of bodies may follow from what the flow around them conserves, instead of sums over their surfaces.
+/// In which flow figures of bodies follow from what the flow around them conserves, instead of sums over their surfaces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Balanced {
-    /// Forces, torques and heat: the flow is steady.
-    All,
-    /// Forces, in a flow that goes on in time.
-    Momentum,
-    /// None: the fluid is compressible.
-    Nothing,
+    /// Forces, torques and heat do.
+    Steady,
+    /// In an incompressible flow that goes on in time forces and heat do.
+    InTime,
+    /// The same in one with sound.
+    WithSound,
 }
 
 /// Which figures are told besides those of all flows, and where.
@@ -99,14 +99,14 @@ impl Measures {
                 points[shape].push(k);
             }
         }
-        let (in_time, numbers) = (settings.balanced == Balanced::Momentum, cloud.numbers());
+        let (balanced, numbers) = (settings.balanced, cloud.numbers());
         let contours = (0..shapes).map(|shape| {
-            let is_told = settings.balanced != Balanced::Nothing && places.touching.contains(&shape);
-            let line = is_told.then(|| Contour::around(cloud, shape, points[shape].clone(), in_time)).flatten()?;
+            let is_told = places.touching.contains(&shape);
+            let line = is_told.then(|| Contour::around(cloud, shape, points[shape].clone(), balanced)).flatten()?;
             let feet: Vec<usize> = line.feet().iter().map(|foot| foot.point).collect();
             let leaves = || feet.iter().any(|&k| cloud.leaves(&places.boundary[k], &numbers));
-            let is_known = !in_time || !(breathes(cloud, &points[shape]) || breathes(cloud, &feet) || leaves());
-            is_known.then_some(line)
+            let is_known = || !(breathes(cloud, &points[shape]) || breathes(cloud, &feet) || leaves());
+            (balanced != Balanced::InTime || is_known()).then_some(line)
         });
         let contours: Vec<Option<Contour>> = contours.collect();
         let mut is_rest = vec![true; places.boundary.len()];
@@ -126,7 +126,7 @@ impl Measures {
         let total: f64 = (0..shapes).filter(|&shape| contours[shape].is_some()).map(length).sum();
         // Where the rest is coarser than the surroundings of bodies (`resolution.far`), these know better.
         let is_fine = rest.iter().all(|&k| places.spacing[places.boundary[k].particle] < 1.5 * cloud.ground.dx);
-        let is_shared = |shape: usize| settings.balanced == Balanced::All && is_fine && contours[shape].is_some();
+        let is_shared = |shape: usize| settings.balanced == Balanced::Steady && is_fine && contours[shape].is_some();
         let share = (0..shapes).map(|k| if is_shared(k) { length(k) / total } else { 0.0 }).collect();
         let [low, high] = places.corners;
         // In the middle between lattice columns nothing is exact; a column is as good as any place in between.
@@ -327,16 +327,20 @@ impl Measures {
         self.points[shape].iter().map(of).fold(0.0, |most: f64, x| if x.abs() > most.abs() { x } else { most })
     }
 
-    /// The line that tells the force of a shape: without buoyancy, whose sum over the fluid is not known.
-    fn line_of_force(&self, at: &At<'_>, shape: usize) -> Option<&Contour> {
-        self.contours[shape].as_ref().filter(|_| at.equations.buoyancy.is_none())
-    }
-
     /// The share of a shape in what the lines' figures differ from the sum of all by; 0 where something flows in or out.
     fn share(&self, at: &At<'_>, shape: usize) -> f64 {
         let is_closed = || self.rest.iter().all(|&k| self.end_of(at, k).is_none());
         if self.share[shape] != 0.0 && is_closed() {
             self.share[shape]
+        } else {
+            0.0
+        }
+    }
+
+    /// The same of the force; 0 with buoyancy, whose sum over all of the fluid is not known.
+    fn share_of_force(&self, at: &At<'_>, shape: usize) -> f64 {
+        if at.equations.buoyancy.is_none() {
+            self.share(at, shape)
         } else {
             0.0
         }
@@ -368,11 +372,8 @@ impl Measures {
     /// The line that tells the torque: of a shape with corners. (With others a sum over the surface is more accurate, for its arms are shorter:
     /// in 35 channels at random 0.05 instead of 0.13 % of drag times radius in the middle.)
     fn line_of_torque(&self, at: &At<'_>, shape: usize) -> Option<&Contour> {
-        self.line_of_force(at, shape).filter(|line| line.is_steady() && self.has_corners[shape])
-    }
-
-    fn line_of_heat(&self, shape: usize) -> Option<&Contour> {
-        self.contours[shape].as_ref().filter(|line| line.is_steady())
+        let is_known = |line: &&Contour| line.is_steady() && at.equations.buoyancy.is_none();
+        self.contours[shape].as_ref().filter(|line| is_known(line) && self.has_corners[shape])
     }
 
     /// Force and torque of a shape by a line around it.
@@ -428,16 +429,16 @@ impl Measures {
             Figure::HeatOutflow => {
                 self.target.iter().map(|(s, weight)| weight * Self::sampled(s, at, 0) * Self::sampled(s, at, 3)).sum()
             }
-            Figure::Force { shape, along } => match self.line_of_force(at, shape) {
+            Figure::Force { shape, along } => match &self.contours[shape] {
                 Some(line) => {
                     let lines = || self.lines().map(|(other, line)| self.force_by(line, at, other)[along]).sum::<f64>();
-                    let share = self.share(at, shape);
+                    let share = self.share_of_force(at, shape);
                     let rest = if share == 0.0 { 0.0 } else { self.sum_of_forces(at, along) - lines() };
                     self.force_by(line, at, shape)[along] + share * rest
                 }
                 None => self.surface_force(at, shape, along),
             },
-            Figure::Heat { shape } => match self.line_of_heat(shape) {
+            Figure::Heat { shape } => match &self.contours[shape] {
                 Some(line) => {
                     let lines = || self.lines().map(|(_, line)| self.heat_by(line, at)).sum::<f64>();
                     let share = self.share_of_heat(at, shape);
@@ -519,10 +520,10 @@ impl Measures {
                     Self::sampled_back(s, at, 3, weight * own * u, bar);
                 }
             }
-            Figure::Force { shape, along } => match self.line_of_force(at, shape) {
+            Figure::Force { shape, along } => match &self.contours[shape] {
                 Some(line) => {
                     self.force_by_back(line, at, shape, unit(along, weight), bar);
-                    let weight = weight * self.share(at, shape);
+                    let weight = weight * self.share_of_force(at, shape);
                     if weight == 0.0 {
                         return;
                     }
@@ -537,7 +538,7 @@ impl Measures {
                 }
                 None => self.points[shape].iter().for_each(|&k| self.push_back(at, k, unit(along, weight), bar)),
             },
-            Figure::Heat { shape } => match self.line_of_heat(shape) {
+            Figure::Heat { shape } => match &self.contours[shape] {
                 Some(line) => {
                     self.heat_by_back(line, at, weight, bar);
                     let weight = weight * self.share_of_heat(at, shape);

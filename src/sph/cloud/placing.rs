@@ -178,8 +178,8 @@ impl Ground {
     }
 
     /// Whether a place is out of the box, or inside any polygon but that of `except`.
-    pub fn is_solid(&self, polygons: &[Polygon], p: [f64; 2], except: usize) -> bool {
-        self.depth(p) < 0.0 || self.is_in_wall(polygons, p, Some(except)).is_some()
+    pub fn is_solid(&self, polygons: &[Polygon], p: [f64; 2], except: Option<usize>) -> bool {
+        self.depth(p) < 0.0 || self.is_in_wall(polygons, p, except).is_some()
     }
 
     /// How far a place is from the sides of the box; negative outside.

@@ -241,10 +241,14 @@ impl<const D: usize, const F: usize, const C: usize> Taken<'_, D, F, C> {
             to.iter_mut().zip(own).for_each(|(to, own)| *to += own);
         }
         let mut defect = back.defect.clone();
-        for (i, by) in bar.defect.iter().enumerate() {
-            let none = || Defect { flow: vec![0.0; (D + 1) * march.particles()], heat: vec![] };
-            let to = &mut defect.get_or_insert_with(none).flow[(D + 1) * i..];
-            (0..D).for_each(|e| to[e] += by[e]);
+        if !(bar.defect.is_empty() && bar.heat_defect.is_empty()) {
+            let n = march.particles();
+            let Defect { flow, heat } =
+                defect.get_or_insert_with(|| Defect { flow: vec![0.0; (D + 1) * n], heat: vec![0.0; n] });
+            for (to, by) in flow.chunks_mut(D + 1).zip(&bar.defect) {
+                (0..D).for_each(|e| to[e] += by[e]);
+            }
+            heat.iter_mut().zip(&bar.heat_defect).for_each(|(to, by)| *to += by);
         }
         if let Some(defect) = defect {
             march.pull_back_defect(sums, state, &defect, &mut fields, bar);

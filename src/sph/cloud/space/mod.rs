@@ -2,6 +2,7 @@
 //!
 //! The same method as in the plane ([`super`]), with [two fits](fits) of each particle to more neighbours. Its systems are too large for direct
 //! factors; they are solved by GMRES with a block preconditioner ([`linear`]).
+pub mod control_surface;
 pub mod coupled;
 pub mod equations;
 pub mod facets;

@@ -193,6 +193,13 @@ impl Cloud {
         }
     }
 
+    /// Whether what is at a point of the boundary does not change in time.
+    pub fn stays(&self, point: usize, numbers: &[Vec<f64>]) -> bool {
+        let place = self.places.place[self.places.inside + point];
+        let (_, warmth) = self.condition(point, place, 0.0, numbers);
+        !self.surroundings.has_time() && matches!(warmth, Warmth::Given(_))
+    }
+
     /// The points on shapes: place in the boundary, shape, and what is there for its numbers.
     fn on_shapes<'a>(&'a self, numbers: &'a [Vec<f64>]) -> impl Iterator<Item = (usize, usize, OnSurface<f64>)> + 'a {
         self.places.boundary.iter().enumerate().filter_map(|(k, point)| {
@@ -207,6 +214,11 @@ impl Cloud {
     /// A map that folds the cloud.
     pub fn shaped(&self, numbers: &[Vec<f64>]) -> Result<Shaped, Unusable<3>> {
         let (n, inside) = (self.particles(), self.places.inside);
+        let stands_elsewhere =
+            |shape: &usize| self.ground.surfaces[*shape].stands_elsewhere(&self.ground.region, &numbers[*shape]);
+        if let Some(shape) = (0..numbers.len()).find(stands_elsewhere) {
+            return Err(Unusable::Folded(self.centre[shape]));
+        }
         let mut area = vec![[0.0; 3]; n - inside];
         let mut normal: Vec<[f64; 3]> = self.places.boundary.iter().map(|point| point.normal).collect();
         let mut volume: f64 = self.ground.region.size.iter().product();

@@ -101,11 +101,14 @@ impl Ground {
         let Self { region, dx, surface: h0, .. } = self;
         let (region, dx, h0) = (*region, *dx, *h0);
         for (shape, surface) in self.surfaces.iter().enumerate() {
+            if surface.size() <= 0.0 {
+                return Err(Unplaceable::Narrow { shape, width: 0.0 });
+            }
             if surface.size() < h0 {
                 return Err(Unplaceable::Thin { shape, width: 2.0 * surface.size() });
             }
         }
-        // A few points tell that a shape is larger than the box, such as one in other units, which would have any number of points.
+        // A few points tell that a shape (other than a box) is larger than the region, such as one in other units, which would have any number of points.
         for (shape, surface) in self.surfaces.iter().enumerate() {
             let few = surface.spread(&region, h0.max(surface.size()), 0.0);
             let places: Vec<[f64; 3]> = few.iter().map(|spot| surface.at(spot, &surface.numbers).place).collect();

@@ -41,13 +41,52 @@ pub struct Column {
     plane: Plane,
 }
 
+/// What sides of the region a box stands on: faces that are in these or behind them are not there, and the others end at the sides.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Standing {
+    /// The places of sides on which its low and high faces would be.
+    sides: [[Option<f64>; 2]; 3],
+}
+
+impl Standing {
+    /// For the numbers of a box.
+    pub fn new(region: &Region<3>, numbers: &[f64]) -> Self {
+        let Region { size, periodic } = *region;
+        let sides = std::array::from_fn(|d| {
+            let [low, high] = [numbers[d], numbers[3 + d]];
+            let near = 1e-9 * size[d];
+            [(low <= near).then_some(0.0), (high >= size[d] - near).then_some(size[d])]
+                .map(|side| side.filter(|_| !periodic[d]))
+        });
+        Self { sides }
+    }
+
+    fn stands(&self, d: usize, end: usize) -> bool {
+        self.sides[d][end].is_some()
+    }
+
+    /// The lower and the upper corner of what is in the region.
+    fn corners<S: Scalar>(&self, s: &[S]) -> [S; 6] {
+        std::array::from_fn(|k| self.sides[k % 3][k / 3].map_or(s[k], S::of))
+    }
+
+    /// Places about a spacing apart along an edge as shares of it, and their number on the surface itself, for layers at a distance from it:
+    /// their first row is as far from a side as rows are from each other.
+    fn rows(&self, d: usize, length: f64, spacing: f64, is_layer: bool) -> Vec<f64> {
+        let aside = [0, 1].map(|end| if is_layer && self.stands(d, end) { 1.0 } else { 0.5 });
+        let rows = (length / spacing + 1.0 - aside[0] - aside[1]).round().max(1.0);
+        let steps = rows - 1.0 + aside[0] + aside[1];
+        (0..rows as usize).map(|k| (k as f64 + aside[0]) / steps).collect()
+    }
+}
+
 /// What a surface looks like.
 #[derive(Debug)]
 pub enum Form {
     /// Numbers: centre, radius.
     Ball,
     /// Numbers: lower and upper corner.
-    Box,
+    Box(Standing),
     Column(Box<Column>),
     /// Numbers: centre, scale, degrees around the axis along z through the centre.
     Facets(Box<Facets>),
@@ -111,7 +150,15 @@ impl Surface {
     pub fn size(&self) -> f64 {
         match &self.form {
             Form::Ball => self.numbers[3],
-            Form::Box => (0..3).map(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d])).fold(f64::MAX, f64::min),
+            Form::Box(standing) => {
+                let corners = standing.corners(&self.numbers);
+                let half = |d: usize| {
+                    // As if mirrored by the side that it stands on.
+                    let stands = (0..2).filter(|&end| standing.stands(d, end)).count();
+                    (corners[3 + d] - corners[d]) * [0.5, 1.0, f64::INFINITY][stands]
+                };
+                (0..3).map(half).fold(f64::MAX, f64::min)
+            }
             Form::Column(column) => (0.5 * column.polygon.area()).sqrt(),
             Form::Facets(facets) => self.numbers[3] * facets.half_width,
         }
@@ -121,7 +168,7 @@ impl Surface {
     pub fn distance(&self, region: &Region<3>, p: [f64; 3]) -> f64 {
         match &self.form {
             Form::Ball => region.distance([self.numbers[0], self.numbers[1], self.numbers[2]], p) - self.numbers[3],
-            Form::Box => {
+            Form::Box(_) => {
                 let half: [f64; 3] = std::array::from_fn(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d]));
                 let r = region.between(std::array::from_fn(|d| self.numbers[d] + half[d]), p);
                 let out: [f64; 3] = std::array::from_fn(|d| r[d].abs() - half[d]);
@@ -157,17 +204,17 @@ impl Surface {
                 let count = (4.0 * PI * r * r / (0.9 * spacing * spacing)).ceil().max(20.0) as usize;
                 directions(count).map(|n| Spot::Direction(n, 4.0 * PI / count as f64)).collect()
             }
-            Form::Box => {
+            Form::Box(standing) => {
+                let corners = standing.corners(&self.numbers);
                 let mut spots = vec![];
                 for along in 0..3 {
                     let [a, b] = across(along);
-                    let count =
-                        |d: usize| ((self.numbers[3 + d] - self.numbers[d]) / spacing).round().max(1.0) as usize;
-                    let (m, n) = (count(a), count(b));
-                    for end in 0..2 {
-                        for k in 0..m * n {
-                            let at = [((k / n) as f64 + 0.5) / m as f64, ((k % n) as f64 + 0.5) / n as f64];
-                            spots.push(Spot::Face { along, end, at, share: 1.0 / (m * n) as f64 });
+                    let rows = |d: usize| standing.rows(d, corners[3 + d] - corners[d], spacing, distance > 0.0);
+                    let (m, n) = (rows(a), rows(b));
+                    let share = 1.0 / (m.len() * n.len()) as f64;
+                    for end in (0..2).filter(|&end| !standing.stands(along, end)) {
+                        for &x in &m {
+                            spots.extend(n.iter().map(|&y| Spot::Face { along, end, at: [x, y], share }));
                         }
                     }
                 }
@@ -214,7 +261,7 @@ impl Surface {
     pub fn centre<S: Scalar>(&self, region: &Region<3>, s: &[S]) -> [S; 2] {
         match &self.form {
             Form::Ball | Form::Facets(_) => [s[0], s[1]],
-            Form::Box => [0, 1].map(|d| S::of(0.5) * (s[d] + s[3 + d])),
+            Form::Box(_) => [0, 1].map(|d| S::of(0.5) * (s[d] + s[3 + d])),
             Form::Column(column) => {
                 let (across, section) = (across(column.axis), column.outline.centre(s));
                 [0, 1].map(|d| match across.iter().position(|&e| e == d) {
@@ -234,8 +281,8 @@ impl Surface {
                 let place = std::array::from_fn(|d| s[d] + r * S::of(n[d]));
                 OnSurface { place, area: std::array::from_fn(|d| r * r * S::of(share * n[d])) }
             }
-            (Spot::Face { along, end, at, share }, _) => {
-                let [a, b] = across(along);
+            (Spot::Face { along, end, at, share }, Form::Box(standing)) => {
+                let (s, [a, b]) = (standing.corners(s), across(along));
                 let mut place = [zero; 3];
                 place[along] = s[3 * end + along];
                 place[a] = s[a] + (s[3 + a] - s[a]) * S::of(at[0]);
@@ -263,17 +310,45 @@ impl Surface {
                     area: area.map(|a| scale * scale * a),
                 }
             }
-            // Columns' spots are on columns.
-            (Spot::Column { .. }, _) => OnSurface { place: [zero; 3], area: [zero; 3] },
+            // Columns' spots are on columns, and boxes' on boxes.
+            (Spot::Column { .. } | Spot::Face { .. }, _) => OnSurface { place: [zero; 3], area: [zero; 3] },
         }
     }
 
-    /// The part of the volume inside that belongs to a spot, r . area / 3 with r from `centre`. (Of a column, whose ends have no
-    /// spots, r . area / 2 across the axis.)
+    /// Whether the shape ends at a side of the region (2 d + (0 low, 1 high)), which closes it.
+    pub fn stands_on(&self, region: &Region<3>, side: usize) -> bool {
+        match &self.form {
+            Form::Column(column) => column.axis == side / 2 && !region.periodic[side / 2],
+            Form::Box(standing) => standing.stands(side / 2, side % 2),
+            Form::Ball | Form::Facets(_) => false,
+        }
+    }
+
+    /// Where r of [`Self::volume`] begins along each direction; nowhere along the axis of a column, or where a box goes from side to side.
+    pub fn from(&self, centre: [f64; 3]) -> [Option<f64>; 3] {
+        std::array::from_fn(|d| match &self.form {
+            Form::Column(column) => (d != column.axis).then_some(centre[d]),
+            Form::Box(Standing { sides }) => match sides[d] {
+                [Some(_), Some(_)] => None,
+                [None, None] => Some(centre[d]),
+                [low, high] => low.or(high),
+            },
+            Form::Ball | Form::Facets(_) => Some(centre[d]),
+        })
+    }
+
+    /// The part of the volume inside the region that belongs to a spot, r . area / 3 with r from `centre`, or from the side that a box stands
+    /// on. (Where there are no spots at either end of a direction it is r . area over the number of the others.)
     pub fn volume<S: Scalar>(&self, on: &OnSurface<S>, centre: [f64; 3]) -> S {
-        let skipped = if let Form::Column(column) = &self.form { Some(column.axis) } else { None };
-        let part = if skipped.is_some() { 0.5 } else { 1.0 / 3.0 };
-        let of = |d: usize| (on.place[d] - S::of(centre[d])) * on.area[d];
-        (0..3).filter(|d| Some(*d) != skipped).map(of).fold(S::of(0.0), |sum, x| sum + x) * S::of(part)
+        let counted = self.from(centre).into_iter().enumerate().filter_map(|(d, from)| Some((d, from?)));
+        let (sum, count) = counted.fold((S::of(0.0), 0.0), |(sum, count), (d, from)| {
+            (sum + (on.place[d] - S::of(from)) * on.area[d], count + 1.0)
+        });
+        sum * S::of(1.0 / count)
+    }
+
+    /// Whether the shape has for these numbers a surface other than the one that it was made for: it would stand on other sides.
+    pub fn stands_elsewhere(&self, region: &Region<3>, numbers: &[f64]) -> bool {
+        matches!(&self.form, Form::Box(own) if *own != Standing::new(region, numbers))
     }
 }
