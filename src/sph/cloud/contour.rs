@@ -29,10 +29,9 @@
 //! smooth, other than at its tip.
 
 use super::equations::{Bar, Warmth};
-use super::figures::Balanced;
 use super::nearest::{Nearest, Plane};
 use super::outline::cross;
-use super::particles::{At, Cloud};
+use super::particles::{At, Balanced, Cloud};
 use super::placing::{bounds, BoundaryPoint, Places};
 use super::traction::Patch;
 use crate::numerics::sparse_lu::dot;

@@ -16,7 +16,7 @@ use super::contour::Contour;
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, Warmth};
 use super::fit::Coefficients;
 use super::interpolation::Sample;
-use super::particles::{At, Cloud, Shaped};
+use super::particles::{At, Balanced, Cloud, Shaped};
 use super::steady::FlowRate;
 use super::traction::{unit, Patch};
 use super::wall_fit::WallFit;
@@ -40,17 +40,6 @@ pub enum Figure {
     Probe { field: usize, probe: usize },
     /// Power of the driving forces less that of moving walls, per density.
     Dissipation,
-}
-
-/// In which flow figures of bodies follow from what the flow around them conserves, instead of sums over their surfaces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Balanced {
-    /// Forces, torques and heat do.
-    Steady,
-    /// In an incompressible flow that goes on in time forces and heat do.
-    InTime,
-    /// The same in one with sound.
-    WithSound,
 }
 
 /// Which figures are told besides those of all flows, and where.

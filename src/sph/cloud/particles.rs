@@ -92,6 +92,17 @@ pub struct Shaped {
     pub third: Option<Coefficients>,
 }
 
+/// In which flow figures of bodies follow from what the flow around them conserves, instead of sums over their surfaces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Balanced {
+    /// Forces, torques and heat do.
+    Steady,
+    /// In an incompressible flow that goes on in time forces and heat do.
+    InTime,
+    /// The same in one with sound.
+    WithSound,
+}
+
 /// State and derivatives at one shape.
 pub struct At<'a> {
     pub equations: &'a Equations,

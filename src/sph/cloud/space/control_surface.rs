@@ -18,12 +18,11 @@
 //!
 //! The surface around a shape that stands on sides of the region ends there; what these have in between closes it.
 
-use super::super::figures::Balanced;
 use super::super::nearest::Nearest;
+use super::super::particles::Balanced;
 use super::super::traction::{unit, Patch};
 use super::equations::{laplacian, Bar, PRESSURE, TEMPERATURE};
-use super::figures::{dot, At};
-use super::particles::Cloud;
+use super::particles::{At, Cloud};
 use super::placing::inward;
 use super::surface::across;
 use crate::sph::consistent::stencil::quadratic;
@@ -320,6 +319,10 @@ fn read_back(
             moved[c][a] -= by_way;
         }
     }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|d| a[d] * b[d]).sum()
 }
 
 fn divergence(at: &At<'_>, i: usize) -> f64 {

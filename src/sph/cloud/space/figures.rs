@@ -7,13 +7,14 @@
 //! are balanced so.
 
 use super::super::equations::Warmth;
-use super::super::figures::{Balanced, Figure, MeasureSettings};
+use super::super::figures::{Figure, MeasureSettings};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::Nearest;
+use super::super::particles::Balanced;
 use super::super::traction::{unit, Patch};
 use super::control_surface::{around_all, ControlSurface};
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
-use super::particles::{Cloud, Shaped};
+use super::particles::{At, Cloud, Shaped};
 use super::steady::FlowRate;
 use crate::numerics::sparse_lu::dot as product;
 use crate::sph::consistent::stencil::{monomials, quadratic};
@@ -49,17 +50,7 @@ pub struct Measures {
     periodic_x: bool,
 }
 
-/// State and derivatives at one shape.
-pub struct At<'a> {
-    pub equations: &'a Equations,
-    pub shaped: &'a Shaped,
-    /// What holds on the boundary at the time of the state.
-    pub conditions: &'a [Condition],
-    pub state: &'a State,
-    pub d: &'a Derivatives,
-}
-
-pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|d| a[d] * b[d]).sum()
 }
 

@@ -10,7 +10,7 @@ use super::super::fits::Fits;
 use super::super::nearest::{Nearest, Region};
 use super::super::outline::{seeded, Dual};
 use super::super::particles::{Fluid, Unusable};
-use super::equations::{dot, Bar, Condition, Equations, Motion};
+use super::equations::{dot, Bar, Condition, Derivatives, Equations, Motion, State};
 use super::fits::{fits, Where};
 use super::placing::{inward, BoundaryPoint, Ground, Places};
 use super::scalar::Scalar;
@@ -72,6 +72,16 @@ pub struct Shaped {
     pub volume: f64,
     pub conditions: Vec<Condition>,
     pub operators: Coefficients<C>,
+}
+
+/// State and derivatives at one shape.
+pub struct At<'a> {
+    pub equations: &'a Equations,
+    pub shaped: &'a Shaped,
+    /// What holds on the boundary at the time of the state.
+    pub conditions: &'a [Condition],
+    pub state: &'a State,
+    pub d: &'a Derivatives,
 }
 
 fn norm(a: [f64; 3]) -> f64 {

@@ -5,8 +5,8 @@ use super::super::particles::Unusable;
 use super::super::problem::{Gradient, NoSolution, CONTINUATION};
 use super::super::steady::{Held, NoSteadyState};
 use super::equations::{Bar, Condition, Derivatives, State, FLOW};
-use super::figures::{At, Measures, Rate};
-use super::particles::{Cloud, Shaped};
+use super::figures::{Measures, Rate};
+use super::particles::{At, Cloud, Shaped};
 use super::steady::Solver;
 use std::sync::Arc;
 
