@@ -184,7 +184,7 @@ impl Marching<3, 5, COEFFICIENTS_3D> for AroundBodies {
                 cloud.conditions_at(&shaped.position, normals, time, &shaped.numbers)
             }
         };
-        let derivatives = self.flow.solver.equations.derivatives_at(&shaped.operators, state, &read_at);
+        let derivatives = self.flow.solver.equations.derivatives_at(&shaped.operators, state, read_at);
         Solution { shaped: Arc::clone(shaped), conditions, state: state.clone(), derivatives }
     }
 

@@ -191,7 +191,7 @@ impl Marching<2, 4, COEFFICIENTS> for AroundShapes {
 
     fn seen(&self, shaped: &Arc<Shaped>, _: f64, Reached { state, defect }: Reached<'_, 4>) -> Solution {
         let (equations, read_at) = (&self.flow.solver.equations, self.flow.measures.read_at());
-        let derivatives = equations.derivatives_at(&shaped.operators, state, &read_at);
+        let derivatives = equations.derivatives_at(&shaped.operators, state, read_at);
         let defect = defect.cloned();
         Solution { shaped: Arc::clone(shaped), state: state.clone(), derivatives, first: None, defect }
     }

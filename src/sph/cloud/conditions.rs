@@ -34,6 +34,11 @@ pub trait Conditions<const D: usize> {
     /// Whether a number (shape, number) is a parameter of formulas on a wall, and not of a surface.
     fn is_parameter(&self, number: (usize, usize)) -> bool;
 
+    /// Whether the temperature of a point, which is there, is given and does not change in time.
+    fn stays(&self, point: usize, place: [f64; D], numbers: &[Vec<f64>]) -> bool {
+        !self.has_time() && matches!(self.condition(point, place, 0.0, numbers).1, Warmth::Given(_))
+    }
+
     /// Whether any of these numbers moves particles: those of surfaces do, and not parameters of what a wall does.
     fn moves(&self, numbers: &[(usize, usize)]) -> bool {
         numbers.iter().any(|&number| !self.is_parameter(number))

@@ -28,8 +28,9 @@
 //! ([`Contour::feet`]), through which flows what sums over their points say: beside the corner that a fin has with its wall fields are
 //! smooth, other than at its tip.
 
-use super::equations::{Bar, Warmth};
-use super::nearest::{Nearest, Plane};
+use super::conditions::Conditions;
+use super::equations::Bar;
+use super::nearest::{Nearest, Plane, Region};
 use super::outline::cross;
 use super::particles::{At, Balanced, Cloud};
 use super::placing::{bounds, BoundaryPoint, Places};
@@ -39,13 +40,13 @@ use std::collections::BTreeMap;
 
 /// The largest distances of three lines from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no rounding
 /// decides which of them belong to it.)
-const REACHES: [f64; 3] = [3.53, 5.03, 6.53];
+pub(super) const REACHES: [f64; 3] = [3.53, 5.03, 6.53];
 /// The share of each line in the mean.
-const SHARE: f64 = 1.0 / REACHES.len() as f64;
+pub(super) const SHARE: f64 = 1.0 / REACHES.len() as f64;
 /// A cell belongs to a body that is nearer by this factor than all else.
-const NEARER: f64 = 0.997;
+pub(super) const NEARER: f64 = 0.997;
 /// Cells from a body to what is next, at least.
-const CELLS: f64 = 6.0;
+pub(super) const CELLS: f64 = 6.0;
 /// Corners of the lines go to particles that are nearest to places so far from the corners of cells, in cells.
 const ASIDE: [f64; 2] = [0.023, 0.017];
 /// Walls that a shape stands on turn by this at most.
@@ -122,8 +123,8 @@ fn gauss() -> [f64; 2] {
 }
 
 /// From a place to that of its images which is nearest to another place.
-fn shift_to(plane: &Plane, own: [f64; 2], p: [f64; 2]) -> [f64; 2] {
-    let r = plane.between(own, p);
+pub(super) fn shift_to<const D: usize>(region: &Region<D>, own: [f64; D], p: [f64; D]) -> [f64; D] {
+    let r = region.between(own, p);
     std::array::from_fn(|d| p[d] - r[d] - own[d])
 }
 
@@ -340,11 +341,7 @@ impl Grid {
         let (plane, most, numbers) = (ground.plane, 4.0 * ground.far * ground.dx, cloud.numbers());
         let all: Vec<[f64; 2]> = places.place.iter().map(|&p| plane.wrapped(p)).collect();
         let to_all = Nearest::new(plane, ground.dx, &all);
-        let is_given = |k: usize| {
-            let point = &places.boundary[k];
-            let (_, warmth) = cloud.surroundings.condition(point, places.place[point.particle], 0.0, &numbers);
-            !cloud.surroundings.has_time() && matches!(warmth, Warmth::Given(_))
-        };
+        let stays = |k: usize| cloud.stays(k, places.place[places.boundary[k].particle], &numbers);
         let mut found = BTreeMap::new();
         for (i, j) in (0..self.count[0]).flat_map(|i| (0..self.count[1]).map(move |j| (i, j))) {
             let Cell::Within(least) = self.cell([i as i64, j as i64]) else { continue };
@@ -355,7 +352,7 @@ impl Grid {
                     continue;
                 }
                 let own = to_all.one(p, most).map(|(_, particle)| particle);
-                let own = own.filter(|&i| i.checked_sub(places.inside).is_none_or(is_given));
+                let own = own.filter(|&i| i.checked_sub(places.inside).is_none_or(stays));
                 if let Some(particle) = own.or_else(|| Some(to_inside.one(p, most)?.1)) {
                     *found.entry(particle).or_insert(0.0) += (REACHES.len() - least) as f64;
                 }

@@ -20,6 +20,7 @@ use super::particles::{At, Balanced, Cloud, Shaped};
 use super::steady::FlowRate;
 use super::traction::{unit, Patch};
 use super::wall_fit::WallFit;
+use std::collections::BTreeSet;
 
 /// A figure that is a smooth function of state and shape.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +72,7 @@ pub struct Measures {
     /// are not known.
     share: Vec<f64>,
     has_corners: Vec<bool>,
+    read_at: Vec<usize>,
     inside: usize,
     /// Area of the box that no boundary point accounts for.
     base_area: f64,
@@ -140,7 +142,7 @@ impl Measures {
             let r = plane.between(own, p);
             Some(Sample { particle, place: [own[0] + r[0], own[1] + r[1]] })
         };
-        let section = |x: f64| {
+        let section = |x: f64| -> Vec<(Sample, f64)> {
             let rows = cloud.ground.cells(&places.corners)[1];
             let step = (high[1] - low[1]) / rows as f64;
             // Gauss's two points in each row.
@@ -151,11 +153,15 @@ impl Measures {
         };
         let (section, target) = (section(farthest), section(settings.target.clamp(low[0], high[0])));
         // What is too far from particles is refused before.
-        let probes = settings.probes.iter().map(|p| sample(*p).unwrap_or(Sample { particle: 0, place: *p })).collect();
+        let probes: Vec<Sample> =
+            settings.probes.iter().map(|p| sample(*p).unwrap_or(Sample { particle: 0, place: *p })).collect();
         let base_area = if plane.periodic[1] { plane.size[0] * plane.size[1] } else { 0.0 };
         let (inside, size, periodic_x) = (places.inside, plane.size, plane.periodic[0]);
         let wall_fits = cloud.wall_fits.clone();
         let has_corners = cloud.ground.outlines.iter().map(|outline| !outline.corners().is_empty()).collect();
+        let samples = section.iter().chain(&target).map(|(sample, _)| sample).chain(&probes);
+        let through = contours.iter().flatten().flat_map(Contour::particles);
+        let read_at = each_once(samples.map(|sample| sample.particle).chain(through));
         Self {
             section,
             target,
@@ -166,6 +172,7 @@ impl Measures {
             contours,
             share,
             has_corners,
+            read_at,
             inside,
             base_area,
             size,
@@ -174,10 +181,8 @@ impl Measures {
     }
 
     /// The particles at which derivatives are read, besides those on the boundary.
-    pub fn read_at(&self) -> Vec<usize> {
-        let sections = self.section.iter().chain(&self.target).map(|(sample, _)| sample);
-        let through = self.contours.iter().flatten().flat_map(Contour::particles);
-        sections.chain(&self.probes).map(|sample| sample.particle).chain(through).collect()
+    pub fn read_at(&self) -> &[usize] {
+        &self.read_at
     }
 
     /// Whether a shape has corners, at which a sum over its surface misses something.
@@ -595,6 +600,11 @@ impl Measures {
             }
         }
     }
+}
+
+/// Particles without those that come again.
+pub(super) fn each_once(particles: impl Iterator<Item = usize>) -> Vec<usize> {
+    particles.collect::<BTreeSet<usize>>().into_iter().collect()
 }
 
 /// Whether fluid goes through the surface of a shape, by formulas that have the time.

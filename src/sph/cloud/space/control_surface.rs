@@ -18,24 +18,21 @@
 //!
 //! The surface around a shape that stands on sides of the region ends there; what these have in between closes it.
 
+use super::super::conditions::Conditions;
+use super::super::contour::{shift_to, CELLS, NEARER, REACHES, SHARE};
 use super::super::nearest::Nearest;
 use super::super::particles::Balanced;
 use super::super::traction::{unit, Patch};
 use super::equations::{laplacian, Bar, PRESSURE, TEMPERATURE};
 use super::particles::{At, Cloud};
 use super::placing::inward;
-use super::surface::across;
+use super::surface::{across, part_of_volume, OnSurface};
+use crate::io::stl::{cross, dot};
 use crate::sph::consistent::stencil::quadratic;
+use std::cell::OnceCell;
 use std::collections::{BTreeMap, HashMap};
 
-/// The largest distances of three surfaces from their body, in dx, of which the mean is taken. (Not where centres of cells are, so that no
-/// rounding decides which of them belong to it.)
-const REACHES: [f64; 3] = [3.53, 5.03, 6.53];
-const SHARE: f64 = 1.0 / REACHES.len() as f64;
-/// A cell belongs to a body that is nearer by this factor than all else.
-const NEARER: f64 = 0.997;
-/// Cells from a body to what is next, at least, and the most parts of a cell along each direction by which they become so many.
-const CELLS: f64 = 6.0;
+/// The most parts of a cell along each direction, where there are few cells to what is next.
 const REFINED: f64 = 2.0;
 /// Corners go to particles that are nearest to places so far from the corners of cells, in cells. (Rounding shall not decide between particles
 /// that are equally near.)
@@ -156,7 +153,8 @@ fn to_sides(cloud: &Cloud, shape: usize, p: [f64; 3]) -> f64 {
 struct Particles<'a> {
     cloud: &'a Cloud,
     inside: Nearest<3>,
-    all: Nearest<3>,
+    /// Where means are needed.
+    all: OnceCell<Nearest<3>>,
     /// Points of the boundary on given sides, as particles.
     on_sides: HashMap<Vec<usize>, (Vec<usize>, Nearest<3>)>,
 }
@@ -165,7 +163,14 @@ impl<'a> Particles<'a> {
     fn new(cloud: &'a Cloud) -> Self {
         let (region, dx, places) = (cloud.ground.region, cloud.ground.dx, &cloud.places);
         let inside = Nearest::new(region, dx, &places.place[..places.inside]);
-        Self { cloud, inside, all: Nearest::new(region, dx, &places.place), on_sides: HashMap::new() }
+        Self { cloud, inside, all: OnceCell::new(), on_sides: HashMap::new() }
+    }
+
+    /// The particle that is nearest to a place.
+    fn any(&self, p: [f64; 3]) -> Option<usize> {
+        let (ground, places) = (&self.cloud.ground, &self.cloud.places);
+        let all = self.all.get_or_init(|| Nearest::new(ground.region, ground.dx, &places.place));
+        Some(all.one(ground.region.wrapped(p), f64::INFINITY)?.1)
     }
 
     /// The particle inside that is nearest to a place, or that on all of some sides.
@@ -219,10 +224,6 @@ fn gauss() -> [[[f64; 4]; 3]; 4] {
             [s - 1.0, -s, s, 1.0 - s],
         ]
     })
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    std::array::from_fn(|d| a[(d + 1) % 3] * b[(d + 2) % 3] - a[(d + 2) % 3] * b[(d + 1) % 3])
 }
 
 /// A sum of the corners' places with weights.
@@ -321,10 +322,6 @@ fn read_back(
     }
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|d| a[d] * b[d]).sum()
-}
-
 fn divergence(at: &At<'_>, i: usize) -> f64 {
     (0..3).map(|e| at.d.0[e][i][e]).sum()
 }
@@ -342,7 +339,7 @@ impl ControlSurface {
         let within = |cell: Option<(u16, u8)>, line: usize| {
             cell.is_some_and(|(own, least)| own as usize == shape && least as usize <= line)
         };
-        let stands = |side: usize| !region.periodic[side / 2] && surface.stands_on(&region, side);
+        let stands = |side: usize| surface.stands_on(&region, side);
         let mut faces = vec![];
         for index in (0..grid.cells.len()).map(|k| grid.index(k)) {
             let own = grid.at(index);
@@ -373,9 +370,7 @@ impl ControlSurface {
                         let sides: Vec<usize> = (0..6).filter(|side| is_end(side / 2, side % 2)).collect();
                         let p = std::array::from_fn(|d| (node[d] as f64 + ASIDE[d]) * grid.step[d]);
                         let particle = particles.near(p, &sides)?;
-                        let own = cloud.places.place[particle];
-                        let r = region.between(middle, own);
-                        Some(Corner { particle, shift: std::array::from_fn(|d| middle[d] + r[d] - own[d]) })
+                        Some(Corner { particle, shift: shift_to(&region, cloud.places.place[particle], middle) })
                     };
                     let [p, q, r, s] = around;
                     faces.push([corner(p)?, corner(q)?, corner(r)?, corner(s)?]);
@@ -403,13 +398,7 @@ impl ControlSurface {
         self.balanced == Balanced::Steady
     }
 
-    /// The part of a volume at a place, with area out of it.
-    fn part(from: &[Option<f64>; 3], place: [f64; 3], area: [f64; 3]) -> f64 {
-        let count = from.iter().flatten().count() as f64;
-        (0..3).filter_map(|d| Some((place[d] - from[d]?) * area[d])).sum::<f64>() / count
-    }
-
-    /// The cotangents of place and area.
+    /// The cotangents of place and area, given that of [`part_of_volume`].
     fn part_back(from: &[Option<f64>; 3], place: [f64; 3], area: [f64; 3], weight: f64) -> [[f64; 3]; 2] {
         let each = weight / from.iter().flatten().count() as f64;
         let of = |d: usize| from[d].map_or([0.0; 2], |from| [each * area[d], each * (place[d] - from)]);
@@ -428,10 +417,12 @@ impl ControlSurface {
             let corners = corners(at, face);
             for shares in &gauss {
                 let point = point(&corners, shares);
-                sum += Self::part(&self.from, point.place, point.area);
+                sum += part_of_volume(&self.from, &OnSurface { place: point.place, area: point.area });
             }
         }
-        let own = |&k: &usize| Self::part(&self.own_from, Self::on_shape(at, k), at.shaped.area[k]);
+        let own = |&k: &usize| {
+            part_of_volume(&self.own_from, &OnSurface { place: Self::on_shape(at, k), area: at.shaped.area[k] })
+        };
         sum - self.own.iter().map(own).sum::<f64>()
     }
 
@@ -497,6 +488,11 @@ impl ControlSurface {
         }
     }
 
+    /// The mean of [`Self::acts`].
+    fn mean_acts(&self, at: &At<'_>, e: usize) -> f64 {
+        self.within.iter().map(|&(i, share)| share * self.acts(at, i, e)).sum()
+    }
+
     /// The force on all within, on the shape and on what closes the surface, along e.
     pub fn force(&self, at: &At<'_>, e: usize) -> f64 {
         let (gauss, mut sum) = (gauss(), 0.0);
@@ -511,8 +507,7 @@ impl ControlSurface {
         if push == 0.0 && self.within.is_empty() {
             return sum;
         }
-        let more: f64 = self.within.iter().map(|&(i, share)| share * self.acts(at, i, e)).sum();
-        sum + self.volume(at) * (push + more)
+        sum + self.volume(at) * (push + self.mean_acts(at, e))
     }
 
     fn patch(at: &At<'_>, face: &Face, shares: &[f64; 4], point: &Point) -> Patch<3> {
@@ -546,9 +541,8 @@ impl ControlSurface {
         if push == 0.0 && self.within.is_empty() {
             return;
         }
-        let more: f64 = self.within.iter().map(|&(i, share)| share * self.acts(at, i, e)).sum();
         let volume = self.volume(at);
-        self.volume_back(at, weight * (push + more), bar);
+        self.volume_back(at, weight * (push + self.mean_acts(at, e)), bar);
         if e == 0 {
             bar.drive += weight * volume;
         }
@@ -643,7 +637,7 @@ impl Grid {
     /// The particles within surfaces around a shape, with their shares of the fluid's volume there. (A point of a wall has its own if what is
     /// there does not change; otherwise the next particle inside has it.)
     fn shares(&self, cloud: &Cloud, shape: usize, particles: &mut Particles<'_>) -> Vec<(usize, f64)> {
-        let (region, places, numbers) = (&cloud.ground.region, &cloud.places, cloud.numbers());
+        let (places, numbers) = (&cloud.places, cloud.numbers());
         let mut found = BTreeMap::new();
         let part = |k: usize| ((k % PARTS) as f64 + 0.5) / PARTS as f64;
         for (k, cell) in self.cells.iter().enumerate() {
@@ -654,8 +648,11 @@ impl Grid {
                 if cloud.ground.distance(p, None) <= 0.0 {
                     continue;
                 }
-                let own = particles.all.one(region.wrapped(p), f64::INFINITY).map(|(_, particle)| particle);
-                let own = own.filter(|i| i.checked_sub(places.inside).is_none_or(|k| cloud.stays(k, &numbers)));
+                let own = particles.any(p);
+                let own = own.filter(|i| {
+                    i.checked_sub(places.inside)
+                        .is_none_or(|k| cloud.stays(k, places.place[places.inside + k], &numbers))
+                });
                 if let Some(particle) = own.or_else(|| particles.near(p, &[])) {
                     *found.entry(particle).or_insert(0.0) += lines as f64;
                 }
@@ -670,13 +667,15 @@ impl Grid {
         let (region, places) = (&cloud.ground.region, &cloud.places);
         let mut found: BTreeMap<(usize, usize), f64> = BTreeMap::new();
         let surface = &cloud.ground.surfaces[shape];
-        for side in (0..6).filter(|&side| !region.periodic[side / 2] && surface.stands_on(region, side)) {
+        for side in (0..6).filter(|&side| surface.stands_on(region, side)) {
             let (along, [a, b]) = (side / 2, across(side / 2));
             let level = if side.is_multiple_of(2) { 0 } else { self.count[along] - 1 };
             let each = self.step[a] * self.step[b] / (PARTS_OF_SIDES * PARTS_OF_SIDES) as f64;
-            for (k, cell) in self.cells.iter().enumerate() {
-                let (index, lines) = (self.index(k), self.lines(shape, *cell));
-                if index[along] != level || lines == 0 {
+            for k in 0..self.count[a] * self.count[b] {
+                let mut index = [level; 3];
+                (index[a], index[b]) = (k / self.count[b], k % self.count[b]);
+                let lines = self.lines(shape, self.at(index));
+                if lines == 0 {
                     continue;
                 }
                 for sub in 0..PARTS_OF_SIDES * PARTS_OF_SIDES {

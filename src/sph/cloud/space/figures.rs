@@ -7,7 +7,7 @@
 //! are balanced so.
 
 use super::super::equations::Warmth;
-use super::super::figures::{Figure, MeasureSettings};
+use super::super::figures::{each_once, Figure, MeasureSettings};
 use super::super::fit::{Coefficients, COEFFICIENTS_3D as C};
 use super::super::nearest::Nearest;
 use super::super::particles::Balanced;
@@ -16,6 +16,7 @@ use super::control_surface::{around_all, ControlSurface};
 use super::equations::{Bar, Condition, Derivatives, Equations, Motion, State, PRESSURE, TEMPERATURE};
 use super::particles::{At, Cloud, Shaped};
 use super::steady::FlowRate;
+use crate::io::stl::dot;
 use crate::numerics::sparse_lu::dot as product;
 use crate::sph::consistent::stencil::{monomials, quadratic};
 
@@ -43,15 +44,12 @@ pub struct Measures {
     around: Vec<Option<ControlSurface>>,
     /// Whether sides of the region have less than SIDES times the area of the shapes.
     sides_are_small: bool,
+    read_at: Vec<usize>,
     /// Share of each shape in what all of them differ from the sum by; 0 where that is not known.
     share: Vec<f64>,
     inside: usize,
     size: [f64; 3],
     periodic_x: bool,
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|d| a[d] * b[d]).sum()
 }
 
 const Q: usize = monomials(3);
@@ -116,32 +114,41 @@ impl Measures {
                 .fold((0.0, f64::MIN), |best, one| if one.1 > best.1 + 1e-9 { one } else { best });
         // Gauss's two points along each edge of a cell.
         let gauss = |k: usize, d: usize| step[d] * ((k / 2) as f64 + 0.5 + (k as f64 % 2.0 - 0.5) / 3f64.sqrt());
-        let section = |x: f64| {
+        let section = |x: f64| -> Vec<Sample> {
             let points =
                 (0..4 * cells[1] * cells[2]).map(|k| [x, gauss(k / (2 * cells[2]), 1), gauss(k % (2 * cells[2]), 2)]);
             let fluid = points.filter(|p| cloud.ground.distance(*p, None) > 0.0);
             fluid.filter_map(|p| sample(p, 0.25 * step[1] * step[2])).collect()
         };
         let (section, target) = (section(farthest), section(settings.target.min(region.size[0])));
-        let probes = settings
+        let probes: Vec<Sample> = settings
             .probes
             .iter()
             .map(|p| sample(*p, 1.0).unwrap_or(Sample { particle: 0, place: *p, weight: 1.0 }))
             .collect();
         let (inside, size, periodic_x) = (places.inside, region.size, region.periodic[0]);
         let around = around_all(cloud, &points, settings.balanced);
-        Self { section, target, probes, points, rest, around, sides_are_small, share, inside, size, periodic_x }
+        let samples = section.iter().chain(&target).chain(&probes).map(|sample| sample.particle);
+        let read_at = each_once(samples.chain(around.iter().flatten().flat_map(ControlSurface::particles)));
+        Self {
+            section,
+            target,
+            probes,
+            points,
+            rest,
+            around,
+            read_at,
+            sides_are_small,
+            share,
+            inside,
+            size,
+            periodic_x,
+        }
     }
 
     /// Particles at which figures need derivatives, beside those of the boundary.
-    pub fn read_at(&self) -> Vec<usize> {
-        let samples = self.section.iter().chain(&self.target).chain(&self.probes).map(|sample| sample.particle);
-        let mut all: Vec<usize> =
-            samples.chain(self.around.iter().flatten().flat_map(ControlSurface::particles)).collect();
-        // Faces share their corners.
-        all.sort_unstable();
-        all.dedup();
-        all
+    pub fn read_at(&self) -> &[usize] {
+        &self.read_at
     }
 
     /// The Taylor polynomial's monomials from a sample's particle to its place.

@@ -203,13 +203,6 @@ impl Cloud {
         }
     }
 
-    /// Whether what is at a point of the boundary does not change in time.
-    pub fn stays(&self, point: usize, numbers: &[Vec<f64>]) -> bool {
-        let place = self.places.place[self.places.inside + point];
-        let (_, warmth) = self.condition(point, place, 0.0, numbers);
-        !self.surroundings.has_time() && matches!(warmth, Warmth::Given(_))
-    }
-
     /// The points on shapes: place in the boundary, shape, and what is there for its numbers.
     fn on_shapes<'a>(&'a self, numbers: &'a [Vec<f64>]) -> impl Iterator<Item = (usize, usize, OnSurface<f64>)> + 'a {
         self.places.boundary.iter().enumerate().filter_map(|(k, point)| {

@@ -108,7 +108,8 @@ impl Ground {
                 return Err(Unplaceable::Thin { shape, width: 2.0 * surface.size() });
             }
         }
-        // A few points tell that a shape (other than a box) is larger than the region, such as one in other units, which would have any number of points.
+        // A few points tell that a shape (other than a box) is larger than the region, such as one in other units, which would have any number
+        // of points.
         for (shape, surface) in self.surfaces.iter().enumerate() {
             let few = surface.spread(&region, h0.max(surface.size()), 0.0);
             let places: Vec<[f64; 3]> = few.iter().map(|spot| surface.at(spot, &surface.numbers).place).collect();

@@ -130,6 +130,15 @@ fn directions(count: usize) -> impl Iterator<Item = [f64; 3]> {
     })
 }
 
+/// The part of a volume that belongs to an area out of it, r . area over the number of directions that have a place from which r is measured.
+pub fn part_of_volume<S: Scalar>(from: &[Option<f64>; 3], on: &OnSurface<S>) -> S {
+    let counted = from.iter().enumerate().filter_map(|(d, from)| Some((d, (*from)?)));
+    let (sum, count) = counted.fold((S::of(0.0), 0.0), |(sum, count), (d, from)| {
+        (sum + (on.place[d] - S::of(from)) * on.area[d], count + 1.0)
+    });
+    sum * S::of(1.0 / count)
+}
+
 impl Surface {
     /// A column along an axis with an outline across it.
     pub fn column(outline: Outline, axis: usize, region: &Region<3>) -> Self {
@@ -340,11 +349,7 @@ impl Surface {
     /// The part of the volume inside the region that belongs to a spot, r . area / 3 with r from `centre`, or from the side that a box stands
     /// on. (Where there are no spots at either end of a direction it is r . area over the number of the others.)
     pub fn volume<S: Scalar>(&self, on: &OnSurface<S>, centre: [f64; 3]) -> S {
-        let counted = self.from(centre).into_iter().enumerate().filter_map(|(d, from)| Some((d, from?)));
-        let (sum, count) = counted.fold((S::of(0.0), 0.0), |(sum, count), (d, from)| {
-            (sum + (on.place[d] - S::of(from)) * on.area[d], count + 1.0)
-        });
-        sum * S::of(1.0 / count)
+        part_of_volume(&self.from(centre), on)
     }
 
     /// Whether the shape has for these numbers a surface other than the one that it was made for: it would stand on other sides.
