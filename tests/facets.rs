@@ -196,7 +196,7 @@ fn places_depend_on_numbers_as_differences_say() {
     let form = Form::Facets(Box::new(Facets::new(cuboid([0.5, 0.3, 0.2]))));
     let surface = Surface { form, parts, numbers: numbers.clone(), geometry: 5 };
     let region = Region { size: [1.0; 3], periodic: [true; 3] };
-    let spots = surface.spread(&region, 0.1, 0.0);
+    let spots = surface.spread(0.1, 0.0);
     for spot in &spots {
         assert!(surface.distance(&region, surface.at(spot, &numbers).place).abs() < 1e-9);
         for n in 0..5 {

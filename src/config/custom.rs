@@ -116,6 +116,9 @@ pub struct ShapeEntry {
     pub radius: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<Axis>,
+    /// Where a cylinder, or another shape that goes along all of z, begins and ends along its axis. None: it goes through the whole box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ends: Option<Vec<f64>>,
     /// Semi-axes of an ellipse.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axes: Option<Vec<f64>>,
@@ -178,6 +181,8 @@ pub enum Part {
     Upper(usize),
     Centre(usize),
     Radius,
+    /// Where it begins (0) and ends (1) along its axis.
+    End(usize),
     /// Semi-axis of an ellipse.
     Axis(usize),
     /// Radius of a spline.
@@ -198,7 +203,7 @@ impl ShapeNumber {
         let points = 0..entry.points.as_ref().map_or(0, Vec::len);
         let parts = vector(&entry.lower).map(Part::Lower);
         let parts = parts.chain(vector(&entry.upper).map(Part::Upper)).chain(vector(&entry.centre).map(Part::Centre));
-        let parts = parts.chain(entry.radius.map(|_| Part::Radius));
+        let parts = parts.chain(entry.radius.map(|_| Part::Radius)).chain(vector(&entry.ends).map(Part::End));
         let parts = parts.chain(vector(&entry.axes).map(Part::Axis)).chain(vector(&entry.radii).map(Part::Radii));
         let parts = parts.chain(points.flat_map(|point| [Part::Point(point, 0), Part::Point(point, 1)]));
         let parts = parts.chain(entry.thickness.map(|_| Part::Thickness)).chain(entry.chord.map(|_| Part::Chord));
@@ -213,6 +218,7 @@ impl ShapeNumber {
             Part::Upper(d) => entry.upper.as_mut()?.get_mut(d),
             Part::Centre(d) => entry.centre.as_mut()?.get_mut(d),
             Part::Radius => entry.radius.as_mut(),
+            Part::End(k) => entry.ends.as_mut()?.get_mut(k),
             Part::Axis(k) => entry.axes.as_mut()?.get_mut(k),
             Part::Radii(k) => entry.radii.as_mut()?.get_mut(k),
             Part::Chord => entry.chord.as_mut(),
@@ -233,6 +239,7 @@ impl std::fmt::Display for ShapeNumber {
             Part::Upper(d) => write!(out, "upper[{d}]"),
             Part::Centre(d) => write!(out, "centre[{d}]"),
             Part::Radius => write!(out, "radius"),
+            Part::End(k) => write!(out, "ends[{k}]"),
             Part::Axis(k) => write!(out, "axes[{k}]"),
             Part::Radii(k) => write!(out, "radii[{k}]"),
             Part::Chord => write!(out, "chord"),
@@ -253,7 +260,7 @@ pub enum Kind {
     Box,
     /// A disc, or a ball in three dimensions: `centre`, `radius`.
     Disc,
-    /// A cylinder along `axis` through the whole box, in three dimensions: `centre`, `radius`.
+    /// A cylinder along `axis` through the whole box, or between two `ends`, in three dimensions: `centre`, `radius`.
     Cylinder,
     /// A line through `points` (x, y) of a `thickness`, along all of z.
     Polyline,
@@ -304,6 +311,11 @@ impl Kind {
     /// Whether it is a smooth curve in the plane.
     pub fn is_curve(self) -> bool {
         matches!(self, Self::Ellipse | Self::Spline | Self::BSpline | Self::Naca)
+    }
+
+    /// Whether it goes along an axis in three dimensions, and may have ends.
+    pub fn has_axis(self) -> bool {
+        self.is_curve() || matches!(self, Self::Cylinder | Self::Polyline | Self::Polygon)
     }
 
     /// Its name in files.
@@ -381,6 +393,16 @@ impl ShapeEntry {
         }
         if kind == Kind::Cylinder && dimension == 2 {
             return Err(bad("kind", "a cylinder in two dimensions".into()).allowed("disc").advice("kind = \"disc\""));
+        }
+        if let Some(ends) = &self.ends {
+            if dimension == 2 || !kind.has_axis() {
+                let allowed = "in three dimensions, of cylinder, polyline, polygon, ellipse, spline, b-spline, naca";
+                return Err(bad("ends", format!("has no meaning here (kind = {shown})")).allowed(allowed));
+            }
+            if ends.len() != 2 || ends.iter().any(|x| !x.is_finite()) || ends[0] >= ends[1] {
+                let allowed = "two finite numbers, the second above the first";
+                return Err(bad("ends", format!("{ends:?}")).allowed(allowed));
+            }
         }
         let vectors = [("lower", &self.lower), ("upper", &self.upper), ("centre", &self.centre)];
         for (name, vector) in vectors {

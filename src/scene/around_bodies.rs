@@ -114,13 +114,13 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
         Kind::Box => {
             let all = [vector(Part::Lower, &entry.lower), vector(Part::Upper, &entry.upper)].concat();
             let numbers: Vec<f64> = all.iter().map(|(_, x)| *x).collect();
-            Some(whole(Form::Box(Standing::new(region, &numbers)), all))
+            Some(whole(Form::Box(Standing::of_box(region, &numbers)), all))
         }
         Kind::Cylinder => {
             let (axis, centre) = (entry.axis.unwrap_or_default().direction(), entry.centre.as_ref()?);
             let [a, b] = across(axis);
             let disc = ShapeEntry { kind: Kind::Disc, centre: Some(vec![centre[a], centre[b]]), ..entry.clone() };
-            let mut column = Surface::column(Outline::new(&disc, rounded)?, axis, region);
+            let mut column = Surface::column(Outline::new(&disc, rounded)?, axis, entry.ends.as_deref(), region);
             for part in &mut column.parts {
                 if let Part::Centre(d) = part {
                     *part = Part::Centre([a, b][*d]);
@@ -128,7 +128,7 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
             }
             Some(column)
         }
-        _ => Some(Surface::column(Outline::new(entry, rounded)?, 2, region)),
+        _ => Some(Surface::column(Outline::new(entry, rounded)?, 2, entry.ends.as_deref(), region)),
     }
 }
 
@@ -168,6 +168,15 @@ impl AroundBodies {
                 (Kind::File, Some(file)) => Some(of_triangles(entry, &format!("shapes[{k}].file"), file)?),
                 _ => surface(entry, &region, ROUNDED * spacing),
             });
+        }
+        if let Some(shape) = surfaces.iter().position(|surface| !surface.has_seen_ends()) {
+            let key = format!("shapes[{shape}].ends");
+            return Err(BadInput::at(
+                &key,
+                format!("{key}: not all of its outline is seen from the centroid of its section"),
+            )
+            .allowed("outlines that are; any shape that goes through the whole box, without ends")
+            .into());
         }
         let read = config.wall_formula();
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 3, read));

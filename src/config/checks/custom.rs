@@ -83,6 +83,12 @@ impl Config {
                 let bad = bad(&key, format!("{file}: triangles {where_it_is}")).allowed(allowed);
                 return Err(if d == 3 { bad.advice("method.name=fixed") } else { bad });
             }
+            if shape.ends.is_some() && !self.is_around_shapes() {
+                let key = format!("shapes[{place}].ends");
+                return Err(BadInput::at(&key, format!("{key} with particles that move"))
+                    .allowed("with method.name = fixed; a box has ends with every method")
+                    .advice("method.name=fixed"));
+            }
             if d == 3 && shape.kind.is_curve() && !self.is_around_shapes() {
                 let (key, shown) = (format!("shapes[{place}].kind"), shape.kind.shown());
                 return Err(bad(&key, format!("{shown} in three dimensions")).allowed(

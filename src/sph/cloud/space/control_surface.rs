@@ -148,7 +148,7 @@ impl Grid {
 fn to_sides(cloud: &Cloud, shape: usize, p: [f64; 3]) -> f64 {
     let (region, surface) = (&cloud.ground.region, &cloud.ground.surfaces[shape]);
     let to = |side: usize| if side.is_multiple_of(2) { p[side / 2] } else { region.size[side / 2] - p[side / 2] };
-    let counts = |side: &usize| !region.periodic[side / 2] && !surface.stands_on(region, *side);
+    let counts = |side: &usize| !region.periodic[side / 2] && !surface.stands_on(*side);
     (0..6).filter(counts).map(to).fold(f64::INFINITY, f64::min)
 }
 
@@ -342,7 +342,7 @@ impl ControlSurface {
         let within = |cell: Option<(u16, u8)>, line: usize| {
             cell.is_some_and(|(own, least)| own as usize == shape && least as usize <= line)
         };
-        let stands = |side: usize| surface.stands_on(&region, side);
+        let stands = |side: usize| surface.stands_on(side);
         let mut faces = vec![];
         for index in (0..grid.cells.len()).map(|k| grid.index(k)) {
             let own = grid.at(index);
@@ -670,7 +670,7 @@ impl Grid {
         let (region, places) = (&cloud.ground.region, &cloud.places);
         let mut found: BTreeMap<(usize, usize), f64> = BTreeMap::new();
         let surface = &cloud.ground.surfaces[shape];
-        for side in (0..6).filter(|&side| surface.stands_on(region, side)) {
+        for side in (0..6).filter(|&side| surface.stands_on(side)) {
             let (along, [a, b]) = (side / 2, across(side / 2));
             let level = if side.is_multiple_of(2) { 0 } else { self.count[along] - 1 };
             let each = self.step[a] * self.step[b] / (PARTS_OF_SIDES * PARTS_OF_SIDES) as f64;

@@ -253,8 +253,7 @@ impl Cloud {
             }
         }
         let operators = self.fits.coefficients(&position);
-        let region = &self.ground.region;
-        let centre = self.ground.surfaces.iter().zip(numbers).map(|(surface, s)| surface.centre(region, s)).collect();
+        let centre = self.ground.surfaces.iter().zip(numbers).map(|(surface, s)| surface.centre(s)).collect();
         Ok(Shaped { numbers: numbers.to_vec(), centre, position, area, volume, conditions, operators })
     }
 
@@ -296,7 +295,7 @@ impl Cloud {
             }
             let surface = &self.ground.surfaces[shape];
             let numbers = seeded(&shaped.numbers[shape], Some(number));
-            let mut sum = bar.by_centre(shape, || surface.centre(&self.ground.region, &numbers));
+            let mut sum = bar.by_centre(shape, || surface.centre(&numbers));
             for (k, point) in self.places.boundary.iter().enumerate() {
                 let Some((_, spot)) = point.on.filter(|on| on.0 == shape) else { continue };
                 let on = surface.at(&spot, &numbers);

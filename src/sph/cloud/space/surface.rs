@@ -5,7 +5,7 @@
 //! the numbers, written once for numbers and [`super::super::outline::Dual`] ones.
 
 use super::super::nearest::{Nearest, Plane, Region};
-use super::super::outline::{Outline, Scalar};
+use super::super::outline::{cross, OnOutline, Outline, Scalar};
 use super::super::placing::{lengths, spread, Polygon};
 use super::facets::{Facet, Facets};
 use crate::config::custom::Part;
@@ -18,8 +18,11 @@ pub enum Spot {
     Direction([f64; 3], f64),
     /// A face of a box: its direction and end (0 low, 1 high), shares of the other two edges, share of the face's area.
     Face { along: usize, end: usize, at: [f64; 2], share: f64 },
-    /// Parameter of an outline and its change, place along the axis and length there.
+    /// Parameter of an outline and its change, place along the axis and length there as shares of the column's.
     Column { t: f64, dt: f64, at: f64, length: f64 },
+    /// Of an end of a column (0 low, 1 high): parameter of its outline and its change, and what shares of the way from the centroid to the
+    /// outline are there, and between which it stands for the surface.
+    End { end: usize, t: f64, dt: f64, out: f64, ring: [f64; 2] },
     /// A point of a surface of triangles, in the file's lengths and directions.
     Facet(Facet),
 }
@@ -31,17 +34,22 @@ pub struct OnSurface<S> {
     pub area: [S; 3],
 }
 
-/// An outline in the plane across `axis`, along all of the region.
+/// An outline in the plane across `axis`, along all of the region or between two ends.
 #[derive(Debug)]
 pub struct Column {
     outline: Outline,
     axis: usize,
+    /// Whether it has ends: the first numbers after those of the outline.
+    has_ends: bool,
+    /// The length of the region along the axis.
+    region: f64,
+    standing: Standing,
     polygon: Polygon,
     samples: Nearest<2>,
     plane: Plane,
 }
 
-/// What sides of the region a box stands on: faces that are in these or behind them are not there, and the others end at the sides.
+/// What sides of the region a box or column stands on: faces that are in these or behind them are not there, and the others end at the sides.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Standing {
     /// The places of sides on which its low and high faces would be.
@@ -50,15 +58,23 @@ pub struct Standing {
 
 impl Standing {
     /// For the numbers of a box.
-    pub fn new(region: &Region<3>, numbers: &[f64]) -> Self {
-        let Region { size, periodic } = *region;
-        let sides = std::array::from_fn(|d| {
-            let [low, high] = [numbers[d], numbers[3 + d]];
-            let near = 1e-9 * size[d];
-            [(low <= near).then_some(0.0), (high >= size[d] - near).then_some(size[d])]
-                .map(|side| side.filter(|_| !periodic[d]))
-        });
+    pub fn of_box(region: &Region<3>, numbers: &[f64]) -> Self {
+        Self { sides: std::array::from_fn(|d| Self::along(region, d, [numbers[d], numbers[3 + d]])) }
+    }
+
+    /// For a column between two ends along an axis.
+    fn of_column(region: &Region<3>, axis: usize, ends: [f64; 2]) -> Self {
+        let mut sides = [[None; 2]; 3];
+        sides[axis] = Self::along(region, axis, ends);
         Self { sides }
+    }
+
+    /// The sides on which something with these ends stands.
+    fn along(region: &Region<3>, d: usize, [low, high]: [f64; 2]) -> [Option<f64>; 2] {
+        let size = region.size[d];
+        let near = 1e-9 * size;
+        [(low <= near).then_some(0.0), (high >= size - near).then_some(size)]
+            .map(|side| side.filter(|_| !region.periodic[d]))
     }
 
     fn stands(&self, d: usize, end: usize) -> bool {
@@ -70,13 +86,18 @@ impl Standing {
         std::array::from_fn(|k| self.sides[k % 3][k / 3].map_or(s[k], S::of))
     }
 
-    /// Places about a spacing apart along an edge as shares of it, and their number on the surface itself, for layers at a distance from it:
-    /// their first row is as far from a side as rows are from each other.
-    fn rows(&self, d: usize, length: f64, spacing: f64, is_layer: bool) -> Vec<f64> {
+    /// Places about a spacing apart along an edge as shares of it, and the step between them. The first row of layers at a distance from the
+    /// surface is as far from a side as rows are from each other.
+    fn rows(&self, d: usize, length: f64, spacing: f64, is_layer: bool) -> (Vec<f64>, f64) {
         let aside = [0, 1].map(|end| if is_layer && self.stands(d, end) { 1.0 } else { 0.5 });
         let rows = (length / spacing + 1.0 - aside[0] - aside[1]).round().max(1.0);
         let steps = rows - 1.0 + aside[0] + aside[1];
-        (0..rows as usize).map(|k| (k as f64 + aside[0]) / steps).collect()
+        ((0..rows as usize).map(|k| (k as f64 + aside[0]) / steps).collect(), 1.0 / steps)
+    }
+
+    /// What share of a length is half of it, as if mirrored by the side that it stands on.
+    fn half(&self, d: usize) -> f64 {
+        [0.5, 1.0, f64::INFINITY][(0..2).filter(|&end| self.stands(d, end)).count()]
     }
 }
 
@@ -139,20 +160,110 @@ pub fn part_of_volume<S: Scalar>(from: &[Option<f64>; 3], on: &OnSurface<S>) -> 
     sum * S::of(1.0 / count)
 }
 
+/// The distance from what is within several walls, from those of each: exact near one of them, and at right edges.
+fn from_all(distances: &[f64]) -> f64 {
+    let outside = distances.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
+    outside + distances.iter().fold(f64::MIN, |most, x| most.max(*x)).min(0.0)
+}
+
+/// The area that a line from a centre to a point of an outline sweeps twice, by the parameter.
+fn ring_area<S: Scalar>(centre: [S; 2], point: &OnOutline<S>) -> S {
+    cross([0, 1].map(|d| point.place[d] - centre[d]), point.along)
+}
+
+impl Column {
+    /// Where it begins and ends along its axis, for numbers of the shape.
+    fn ends<S: Scalar>(&self, s: &[S]) -> [S; 2] {
+        let sides = self.standing.sides[self.axis];
+        let of = |end: usize, all: f64| match (sides[end], self.has_ends) {
+            (Some(side), _) => S::of(side),
+            (None, true) => s[self.outline.geometry + end],
+            (None, false) => S::of(all),
+        };
+        [of(0, 0.0), of(1, self.region)]
+    }
+
+    /// What it stands on for other numbers.
+    fn standing(&self, region: &Region<3>, s: &[f64]) -> Standing {
+        let g = self.outline.geometry;
+        let ends = if self.has_ends { [s[g], s[g + 1]] } else { [0.0, self.region] };
+        Standing::of_column(region, self.axis, ends)
+    }
+
+    /// Points of the outline that is moved outwards.
+    fn moved_out(&self, samples: &[f64], distance: f64) -> Vec<OnOutline<f64>> {
+        let mut points = self.outline.points(samples, &self.outline.numbers);
+        for point in &mut points {
+            let length = point.along[0].hypot(point.along[1]);
+            point.place[0] += distance * point.along[1] / length;
+            point.place[1] -= distance * point.along[0] / length;
+        }
+        points
+    }
+
+    /// Spots around it in rows, at a distance from it.
+    fn around(&self, numbers: &[f64], spacing: f64, distance: f64) -> Vec<Spot> {
+        let samples = self.outline.samples(64);
+        let way = lengths(&self.moved_out(&samples, distance));
+        let round = spread(&samples, &way, &vec![spacing; samples.len()], true, 0.0, 1.0);
+        let [low, high] = self.ends(numbers);
+        let (rows, length) = self.standing.rows(self.axis, high - low, spacing, distance > 0.0);
+        let row = |(k, at): (usize, f64)| {
+            // Every second row is half a point further.
+            let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
+            let of =
+                |&(t, dt, _): &(f64, f64, f64)| Spot::Column { t: (t + shift * dt).rem_euclid(1.0), dt, at, length };
+            round.iter().map(of).collect::<Vec<_>>()
+        };
+        rows.into_iter().enumerate().flat_map(row).collect()
+    }
+
+    /// Spots on an end of it, in rings.
+    fn on_end(&self, end: usize, spacing: f64) -> Vec<Spot> {
+        let samples = self.outline.samples(64);
+        let way = lengths(&self.moved_out(&samples, 0.0));
+        let rings = ((self.polygon.area() / PI).sqrt() / spacing).round().max(1.0);
+        let ring = |k: usize| {
+            let ring = [k as f64 / rings, (k as f64 + 1.0) / rings];
+            let out = 0.5 * (ring[0] + ring[1]);
+            let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
+            let round = spread(&samples, &way, &vec![spacing / out; samples.len()], true, 0.0, 1.0);
+            let of =
+                |(t, dt, _): (f64, f64, f64)| Spot::End { end, t: (t + shift * dt).rem_euclid(1.0), dt, out, ring };
+            round.into_iter().map(of).collect::<Vec<_>>()
+        };
+        (0..rings as usize).flat_map(ring).collect()
+    }
+}
+
 impl Surface {
-    /// A column along an axis with an outline across it.
-    pub fn column(outline: Outline, axis: usize, region: &Region<3>) -> Self {
+    /// A column along an axis with an outline across it, through all of the region or between two ends.
+    pub fn column(outline: Outline, axis: usize, ends: Option<&[f64]>, region: &Region<3>) -> Self {
         let fine = outline.points(&outline.samples(32), &outline.numbers);
         let plane = plane_across(region, axis);
         let samples: Vec<[f64; 2]> = fine.iter().map(|point| plane.wrapped(point.place)).collect();
         let samples = Nearest::new(plane, 0.02 * plane.size[0].max(plane.size[1]), &samples);
-        let (parts, numbers, geometry) = (outline.parts.clone(), outline.numbers.clone(), outline.geometry);
-        Self {
-            form: Form::Column(Box::new(Column { polygon: Polygon::of(&fine), samples, plane, outline, axis })),
-            parts,
-            numbers,
-            geometry,
+        let (mut parts, mut numbers, mut geometry) = (outline.parts.clone(), outline.numbers.clone(), outline.geometry);
+        for (k, end) in ends.into_iter().flatten().enumerate() {
+            parts.insert(geometry, Part::End(k));
+            numbers.insert(geometry, *end);
+            geometry += 1;
         }
+        let all = [0.0, region.size[axis]];
+        let standing = Standing::of_column(region, axis, ends.map_or(all, |ends| [ends[0], ends[1]]));
+        let (polygon, region, has_ends) = (Polygon::of(&fine), region.size[axis], ends.is_some());
+        let column = Column { outline, axis, has_ends, region, standing, polygon, samples, plane };
+        Self { form: Form::Column(Box::new(column)), parts, numbers, geometry }
+    }
+
+    /// Whether all of the outline is seen from the centroid of its section, if the shape is a column with ends: rings on these are the outline
+    /// made smaller.
+    pub fn has_seen_ends(&self) -> bool {
+        let Form::Column(column) = &self.form else { return true };
+        let Column { outline, has_ends, .. } = column.as_ref();
+        let centre = outline.centre(&self.numbers);
+        let sees = |point: &OnOutline<f64>| ring_area(centre, point) > 0.0;
+        !has_ends || outline.points(&outline.samples(32), &outline.numbers).iter().all(sees)
     }
 
     /// The least of its own lengths: radius, half of an edge.
@@ -161,14 +272,13 @@ impl Surface {
             Form::Ball => self.numbers[3],
             Form::Box(standing) => {
                 let corners = standing.corners(&self.numbers);
-                let half = |d: usize| {
-                    // As if mirrored by the side that it stands on.
-                    let stands = (0..2).filter(|&end| standing.stands(d, end)).count();
-                    (corners[3 + d] - corners[d]) * [0.5, 1.0, f64::INFINITY][stands]
-                };
-                (0..3).map(half).fold(f64::MAX, f64::min)
+                (0..3).map(|d| (corners[3 + d] - corners[d]) * standing.half(d)).fold(f64::MAX, f64::min)
             }
-            Form::Column(column) => (0.5 * column.polygon.area()).sqrt(),
+            Form::Column(column) => {
+                let ([low, high], half) = (column.ends(&self.numbers), column.standing.half(column.axis));
+                let along = if column.has_ends { (high - low) * half } else { f64::INFINITY };
+                (0.5 * column.polygon.area()).sqrt().min(along)
+            }
             Form::Facets(facets) => self.numbers[3] * facets.half_width,
         }
     }
@@ -180,20 +290,21 @@ impl Surface {
             Form::Box(_) => {
                 let half: [f64; 3] = std::array::from_fn(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d]));
                 let r = region.between(std::array::from_fn(|d| self.numbers[d] + half[d]), p);
-                let out: [f64; 3] = std::array::from_fn(|d| r[d].abs() - half[d]);
-                let outside = out.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
-                outside + out.iter().fold(f64::MIN, |most, x| most.max(*x)).min(0.0)
+                from_all(&[0, 1, 2].map(|d| r[d].abs() - half[d]))
             }
             Form::Column(column) => {
-                let Column { axis, polygon, samples, plane, .. } = column.as_ref();
+                let Column { axis, outline, has_ends, polygon, samples, plane, .. } = column.as_ref();
                 let [a, b] = across(*axis);
                 let q = [p[a], p[b]];
                 let distance = samples.distance(plane.wrapped(q), f64::INFINITY);
-                if polygon.covers(plane, q) {
-                    -distance
-                } else {
-                    distance
+                let distance = if polygon.covers(plane, q) { -distance } else { distance };
+                if !has_ends {
+                    return distance;
                 }
+                let (g, mut middle) = (outline.geometry, p);
+                let half = 0.5 * (self.numbers[g + 1] - self.numbers[g]);
+                middle[*axis] = self.numbers[g] + half;
+                from_all(&[distance, region.between(middle, p)[*axis].abs() - half])
             }
             Form::Facets(facets) => {
                 let r = region.between([self.numbers[0], self.numbers[1], self.numbers[2]], p);
@@ -205,7 +316,7 @@ impl Surface {
     }
 
     /// Spots about `spacing` apart on the surface at a distance from this one.
-    pub fn spread(&self, region: &Region<3>, spacing: f64, distance: f64) -> Vec<Spot> {
+    pub fn spread(&self, spacing: f64, distance: f64) -> Vec<Spot> {
         match &self.form {
             Form::Ball => {
                 let r = self.numbers[3] + distance;
@@ -218,7 +329,7 @@ impl Surface {
                 let mut spots = vec![];
                 for along in 0..3 {
                     let [a, b] = across(along);
-                    let rows = |d: usize| standing.rows(d, corners[3 + d] - corners[d], spacing, distance > 0.0);
+                    let rows = |d: usize| standing.rows(d, corners[3 + d] - corners[d], spacing, distance > 0.0).0;
                     let (m, n) = (rows(a), rows(b));
                     let share = 1.0 / (m.len() * n.len()) as f64;
                     for end in (0..2).filter(|&end| !standing.stands(along, end)) {
@@ -230,33 +341,10 @@ impl Surface {
                 spots
             }
             Form::Column(column) => {
-                let Column { outline, axis, .. } = column.as_ref();
-                let samples = outline.samples(64);
-                let mut points = outline.points(&samples, &outline.numbers);
-                for point in &mut points {
-                    let length = point.along[0].hypot(point.along[1]);
-                    point.place[0] += distance * point.along[1] / length;
-                    point.place[1] -= distance * point.along[0] / length;
-                }
-                let way = lengths(&points);
-                let round = spread(&samples, &way, &vec![spacing; samples.len()], true, 0.0, 1.0);
-                let count = (region.size[*axis] / spacing).round().max(1.0) as usize;
-                let step = region.size[*axis] / count as f64;
-                // Layers have their first row as far from a side as rows are from each other.
-                let between_sides = distance > 0.0 && !region.periodic[*axis];
-                let (rows, first) = if between_sides { (count - 1, step) } else { (count, 0.5 * step) };
-                let row = |k: usize| {
-                    let at = first + k as f64 * step;
-                    // Every second row is half a point further.
-                    let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
-                    let of = |&(t, dt, _): &(f64, f64, f64)| (t + shift * dt, dt);
-                    round
-                        .iter()
-                        .map(of)
-                        .map(move |(t, dt)| Spot::Column { t: t.rem_euclid(1.0), dt, at, length: step })
-                        .collect::<Vec<_>>()
-                };
-                (0..rows).flat_map(row).collect()
+                let mut spots = column.around(&self.numbers, spacing, distance);
+                let is_there = |end: &usize| column.has_ends && !column.standing.stands(column.axis, *end);
+                spots.extend((0..2).filter(is_there).flat_map(|end| column.on_end(end, spacing)));
+                spots
             }
             Form::Facets(facets) => {
                 let scale = self.numbers[3];
@@ -266,17 +354,16 @@ impl Surface {
     }
 
     /// The x and y of the shape's centre, for numbers of the shape: those among them, the middle of a box, or the centroid of a column's
-    /// section (along its axis the middle of the region).
-    pub fn centre<S: Scalar>(&self, region: &Region<3>, s: &[S]) -> [S; 2] {
+    /// section (along its axis the middle of what is in the region).
+    pub fn centre<S: Scalar>(&self, s: &[S]) -> [S; 2] {
         match &self.form {
             Form::Ball | Form::Facets(_) => [s[0], s[1]],
             Form::Box(_) => [0, 1].map(|d| S::of(0.5) * (s[d] + s[3 + d])),
             Form::Column(column) => {
                 let (across, section) = (across(column.axis), column.outline.centre(s));
-                [0, 1].map(|d| match across.iter().position(|&e| e == d) {
-                    Some(e) => section[e],
-                    None => S::of(0.5 * region.size[d]),
-                })
+                let [low, high] = column.ends(s);
+                let middle = S::of(0.5) * (low + high);
+                [0, 1].map(|d| across.iter().position(|&e| e == d).map_or(middle, |e| section[e]))
             }
         }
     }
@@ -302,12 +389,26 @@ impl Surface {
                 OnSurface { place, area }
             }
             (Spot::Column { t, dt, at, length }, Form::Column(column)) => {
-                let Column { outline, axis, .. } = column.as_ref();
-                let point = outline.points(&[t], s)[0];
-                let [a, b] = across(*axis);
+                let ([low, high], [a, b]) = (column.ends(s), across(column.axis));
+                let point = column.outline.points(&[t], s)[0];
                 let (mut place, mut area) = ([zero; 3], [zero; 3]);
-                (place[a], place[b], place[*axis]) = (point.place[0], point.place[1], S::of(at));
-                (area[a], area[b]) = (point.along[1] * S::of(dt * length), -point.along[0] * S::of(dt * length));
+                (place[a], place[b]) = (point.place[0], point.place[1]);
+                place[column.axis] = low + (high - low) * S::of(at);
+                let of_length = (high - low) * S::of(dt * length);
+                (area[a], area[b]) = (point.along[1] * of_length, -point.along[0] * of_length);
+                OnSurface { place, area }
+            }
+            (Spot::End { end, t, dt, out, ring }, Form::Column(column)) => {
+                let ([a, b], centre) = (across(column.axis), column.outline.centre(s));
+                let point = column.outline.points(&[t], s)[0];
+                let (mut place, mut area) = ([zero; 3], [zero; 3]);
+                for (k, d) in [a, b].into_iter().enumerate() {
+                    place[d] = centre[k] + (point.place[k] - centre[k]) * S::of(out);
+                }
+                place[column.axis] = column.ends(s)[end];
+                let out = if end == 0 { -1.0 } else { 1.0 };
+                area[column.axis] =
+                    ring_area(centre, &point) * S::of(0.5 * (ring[1].powi(2) - ring[0].powi(2)) * dt * out);
                 OnSurface { place, area }
             }
             (Spot::Facet(facet), _) => {
@@ -320,33 +421,38 @@ impl Surface {
                 }
             }
             // Columns' spots are on columns, and boxes' on boxes.
-            (Spot::Column { .. } | Spot::Face { .. }, _) => OnSurface { place: [zero; 3], area: [zero; 3] },
+            (Spot::Column { .. } | Spot::End { .. } | Spot::Face { .. }, _) => {
+                OnSurface { place: [zero; 3], area: [zero; 3] }
+            }
         }
     }
 
     /// Whether the shape ends at a side of the region (2 d + (0 low, 1 high)), which closes it.
-    pub fn stands_on(&self, region: &Region<3>, side: usize) -> bool {
+    pub fn stands_on(&self, side: usize) -> bool {
         match &self.form {
-            Form::Column(column) => column.axis == side / 2 && !region.periodic[side / 2],
+            Form::Column(column) => column.standing.stands(side / 2, side % 2),
             Form::Box(standing) => standing.stands(side / 2, side % 2),
             Form::Ball | Form::Facets(_) => false,
         }
     }
 
-    /// Where r of [`Self::volume`] begins along each direction; nowhere along the axis of a column, or where a box goes from side to side.
+    /// Where r of [`Self::volume`] begins along each direction; nowhere along the axis of a column without ends, or where a shape goes from
+    /// side to side.
     pub fn from(&self, centre: [f64; 3]) -> [Option<f64>; 3] {
-        std::array::from_fn(|d| match &self.form {
-            Form::Column(column) => (d != column.axis).then_some(centre[d]),
-            Form::Box(Standing { sides }) => match sides[d] {
-                [Some(_), Some(_)] => None,
-                [None, None] => Some(centre[d]),
-                [low, high] => low.or(high),
-            },
-            Form::Ball | Form::Facets(_) => Some(centre[d]),
+        let standing = match &self.form {
+            Form::Column(column) => column.standing,
+            Form::Box(standing) => *standing,
+            Form::Ball | Form::Facets(_) => Standing { sides: [[None; 2]; 3] },
+        };
+        std::array::from_fn(|d| match (standing.sides[d], &self.form) {
+            ([Some(_), Some(_)], _) => None,
+            ([None, None], Form::Column(column)) if d == column.axis && !column.has_ends => None,
+            ([None, None], _) => Some(centre[d]),
+            ([low, high], _) => low.or(high),
         })
     }
 
-    /// The part of the volume inside the region that belongs to a spot, r . area / 3 with r from `centre`, or from the side that a box stands
+    /// The part of the volume inside the region that belongs to a spot, r . area / 3 with r from `centre`, or from the side that a shape stands
     /// on. (Where there are no spots at either end of a direction it is r . area over the number of the others.)
     pub fn volume<S: Scalar>(&self, on: &OnSurface<S>, centre: [f64; 3]) -> S {
         part_of_volume(&self.from(centre), on)
@@ -354,6 +460,10 @@ impl Surface {
 
     /// Whether the shape has for these numbers a surface other than the one that it was made for: it would stand on other sides.
     pub fn stands_elsewhere(&self, region: &Region<3>, numbers: &[f64]) -> bool {
-        matches!(&self.form, Form::Box(own) if *own != Standing::new(region, numbers))
+        match &self.form {
+            Form::Box(own) => *own != Standing::of_box(region, numbers),
+            Form::Column(column) => column.standing != column.standing(region, numbers),
+            Form::Ball | Form::Facets(_) => false,
+        }
     }
 }
