@@ -62,7 +62,7 @@ def mesh(size, fins, edges, far):
     h[[k for k, p in enumerate(points) if p[1] == 0 and p[0] in edges]] = far / 8
     # The residual at the foot of a fin has a sixth of what an edge of the floor carries, too.
     feet = [x for f in fins for x in (f[0, 0], f[-1, 0])]
-    h[[k for k, p in enumerate(points) if abs(p[1]) < 1e-12 and p[0] in feet]] = far / 40
+    h[[k for k, p in enumerate(points) if abs(p[1]) < 1e-12 and p[0] in feet]] = far / 12
     gmsh.initialize()
     gmsh.option.setNumber("General.Verbosity", 0)
     g = gmsh.model.geo

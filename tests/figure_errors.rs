@@ -76,6 +76,32 @@ fn figures_that_agree_by_chance_have_an_error_too() {
     assert!((flow.error / flow.value - 0.35 * force.error / force.value).abs() < 1e-12, "{flow:?}");
 }
 
+/// What a coarser spacing tells by other sums says nothing of the error, unless there is nothing else.
+#[test]
+fn figures_are_compared_with_those_that_are_told_alike() {
+    let record = |told_by: &str, drag: f64, pressure_drop: f64| -> Record {
+        let shapes = json!([{ "force": [drag, 0.0], "told_by": [told_by, told_by] }]);
+        serde_json::from_value(
+            json!({ "objective": drag, "pressure_drop": pressure_drop, "shapes": shapes, "warnings": [] }),
+        )
+        .unwrap()
+    };
+    let config = Config::load(Some("heated-channel"), None, &["resolution.dx=0.02".into()]).unwrap().config;
+    let error = |coarser: [&str; 2], name: &str| {
+        let coarser = [(0.025, record(coarser[0], 2.01, 1.0)), (0.04, record(coarser[1], 3.0, 1.5))];
+        let found = errors(&config, &record("surface", 2.0, 0.9), &coarser);
+        found.into_iter().find(|one| one.name == name).map(|one| one.error).unwrap()
+    };
+    for name in ["objective", "shapes[0].force[0]"] {
+        let (near, both) = (error(["surface", "balance"], name), error(["surface", "surface"], name));
+        assert!(
+            near < 0.1 * both && near > 0.01 && error(["points", "balance"], name) == both,
+            "{name}: {near}, {both}"
+        );
+    }
+    assert_eq!(error(["surface", "balance"], "pressure_drop"), error(["surface", "surface"], "pressure_drop"));
+}
+
 /// The ends of the hot section make an error with fixed particles that spacings which agree do not show.
 #[test]
 fn heat_between_walls_has_at_least_the_error_of_the_hot_ends() {

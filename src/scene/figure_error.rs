@@ -213,14 +213,29 @@ fn same_extent(config: &Config, name: &str, spacing: f64) -> f64 {
     }
 }
 
+/// The figures at coarser spacings, where a figure was told by the same sums as in the finest: around a shape between walls so many coarse spacings may
+/// have no room for a closed surface, and what is told otherwise differs by more than the error. All, if it was the same nowhere.
+fn comparable(finest: &Record, coarser: &[(f64, Record)], name: &str) -> Vec<(f64, Vec<Figure>)> {
+    let told_by = |record: &Record| -> Vec<Value> {
+        let shapes = record.rows("shapes").into_iter().flatten().enumerate();
+        let is_asked = |k: &usize| name == "objective" || name.starts_with(&format!("shapes[{k}]."));
+        shapes.filter(|(k, _)| is_asked(k)).map(|(_, shape)| shape["told_by"].clone()).collect()
+    };
+    let own = told_by(finest);
+    let mut same: Vec<&(f64, Record)> = coarser.iter().filter(|(_, record)| told_by(record) == own).collect();
+    if same.is_empty() {
+        same = coarser.iter().collect();
+    }
+    same.into_iter().map(|(spacing, record)| (*spacing, figures(record))).collect()
+}
+
 /// The errors of the figures of a run, given the records of the same at coarser spacings.
 pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Vec<FigureError> {
-    let coarser: Vec<(f64, Vec<Figure>)> =
-        coarser.iter().map(|(spacing, record)| (*spacing, figures(record))).collect();
     let mut found = vec![];
     let of_run = figures(record);
     for (name, value) in of_run.clone() {
         let finest = Point { spacing: config.resolution.dx, value };
+        let coarser = comparable(record, coarser, &name);
         let points: Vec<Point> = coarser
             .iter()
             .filter_map(|(spacing, figures)| {
@@ -243,7 +258,7 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
     let least = all.get(all.len() / 2).map_or(0.0, |median| POOLED * median);
     for one in &mut found {
         let least = least.max(of_hot_ends(config, &one.name));
-        let of_force = of_force(config, &of_run, &coarser, &one.name);
+        let of_force = of_force(config, &of_run, &comparable(record, coarser, &one.name), &one.name);
         one.parts.discretisation = one.parts.discretisation.max(least * one.value.abs()).max(of_force);
     }
     // The objective may be one of the other figures.

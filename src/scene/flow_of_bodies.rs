@@ -217,6 +217,7 @@ impl AroundBodies {
                 record.insert("heat".into(), json!(value(Figure::Heat { shape })));
                 record.insert("heat_by_surface".into(), json!(capacity * measures.surface_heat(&at, shape)));
             }
+            record.insert("told_by".into(), json!(measures.told_by(&at, shape)));
             Value::Object(record)
         });
         let mut all = vec![
