@@ -623,7 +623,8 @@ fn columns_with_ends_are_closed() {
         ShapeEntry { kind: Kind::Disc, centre: Some(vec![0.5, 0.4]), radius: Some(0.2), ..ShapeEntry::default() };
     let radii = Some(vec![0.2, 0.25, 0.2, 0.18, 0.22]);
     let spline = ShapeEntry { kind: Kind::Spline, centre: Some(vec![0.5, 0.4]), radii, ..ShapeEntry::default() };
-    for entry in [disc, spline] {
+    // Points of a spline are not as evenly spaced as those of a disc.
+    for (entry, off) in [(disc, 1e-12), (spline, 2e-3)] {
         let column = |ends: Option<&[f64]>| Surface::column(Outline::new(&entry, 0.0).unwrap(), 2, ends, &region);
         let of = |surface: &Surface| {
             let spots = surface.spread(0.05, 0.0);
@@ -640,9 +641,9 @@ fn columns_with_ends_are_closed() {
         let section = of(&column(None)).0;
         for (ends, height, open) in [([0.3, 0.6], 0.3, 0.0), ([-0.2, 0.6], 0.6, 1.0), ([0.4, 1.5], 0.6, -1.0)] {
             let (volume, whole) = of(&column(Some(&ends)));
-            assert!((volume - section * height).abs() < 1e-4, "{ends:?}: {volume}, {}", section * height);
-            assert!(whole[0].abs() < 1e-4 && whole[1].abs() < 1e-4, "{ends:?}: {whole:?}");
-            assert!((whole[2] - open * section).abs() < 1e-4, "{ends:?}: {whole:?}, section {section}");
+            assert!((volume - section * height).abs() < off, "{ends:?}: {volume}, {}", section * height);
+            assert!(whole[0].abs() < off && whole[1].abs() < off, "{ends:?}: {whole:?}");
+            assert!((whole[2] - open * section).abs() < off, "{ends:?}: {whole:?}, section {section}");
         }
         let (all, between) = (column(None), column(Some(&[-0.1, 1.3])));
         let places = |surface: &Surface| -> Vec<[f64; 3]> {

@@ -58,8 +58,20 @@ initial = { velocity = ["sin(2*PI*y)", 0], temperature = "1 + x*(1 - x)" }
 time = { end = 0.2 }
 "#;
 
+/// One around a ball.
+const BALL: &str = r#"
+scene = "custom"
+method = { name = "fixed" }
+region = { size = [0.8, 0.6, 0.6], periodic = [true, false, false], acceleration = [1.0, 0.0, 0.0] }
+fluid = { viscosity = 0.05 }
+resolution = { dx = 0.1 }
+objective = { kind = "drag" }
+shapes = [{ kind = "disc", centre = [0.4, 0.3, 0.3], radius = 0.12 }]
+variables = [{ number = "shapes[0].centre[1]", lower = 0.28, upper = 0.32 }]
+"#;
+
 /// The kind of a run, and its command without settings that make it short.
-const RUNS: [(&str, &str); 26] = [
+const RUNS: [(&str, &str); 28] = [
     ("periodic", "simulate periodic.toml"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.window=0.02"),
     ("unsteady", "simulate steady.toml --set method.flow=unsteady --set time.end=0.05 --set objective.periods=2 --set objective.period=0.01"),
@@ -67,6 +79,8 @@ const RUNS: [(&str, &str); 26] = [
     ("steady", "simulate steady.toml --error"),
     ("steady", "simulate steady.toml --set fluid.viscosity=0.002"),
     ("improved", "optimize steady.toml --epochs 3"),
+    ("steady", "simulate ball.toml"),
+    ("improved", "optimize ball.toml --epochs 1 --no-verify"),
     ("channel", "simulate --set design.walls=both --error"),
     ("channel", "simulate heated-channel-3d --set time.steps=20 --set objective.window=0.01"),
     ("flow", "simulate taylor-green --set time.steps=20 --error"),
@@ -99,6 +113,7 @@ fn runs_have_the_fields_of_the_page() {
     let at = folder.path();
     std::fs::write(at.join("pin.toml"), PIN).unwrap();
     std::fs::write(at.join("steady.toml"), STEADY).unwrap();
+    std::fs::write(at.join("ball.toml"), BALL).unwrap();
     std::fs::write(at.join("periodic.toml"), PERIODIC).unwrap();
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models").display().to_string();
     let mut written: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
