@@ -412,6 +412,11 @@ impl Measures {
         line.feet().iter().for_each(|foot| self.warmth_back(at, foot.point, -weight * foot.share, bar));
     }
 
+    /// Whether a line around a shape tells its figures.
+    pub fn has_line(&self, shape: usize) -> bool {
+        self.contours[shape].is_some()
+    }
+
     /// The shapes whose figures lines tell.
     fn lines(&self) -> impl Iterator<Item = (usize, &Contour)> {
         self.contours.iter().enumerate().filter_map(|(shape, line)| Some((shape, line.as_ref()?)))
