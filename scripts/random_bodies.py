@@ -3,10 +3,11 @@
 
     python3 scripts/random_bodies.py figures --count 20     one or two discs, ellipses and splines with `simulate --error`
     python3 scripts/random_bodies.py corners --count 20     the same with polygons of three to five corners
+    python3 scripts/random_bodies.py fins --count 12        one to three boxes or leaning plates on the floor, with half of these a hot one
     python3 scripts/random_bodies.py gain --count 12        an ellipse or a spline of an area, by `optimize`: least drag, or most heat
 
 Fixed particles, steady flows. Places, sizes, viscosity and conductivity are drawn by --seed and number; half of the channels are periodic and driven
-by a body force, the others have an inflow and an outflow. One line for each scene: how far figures are from those of bodies_fem.py and, in
+by a body force, the others have an inflow and an outflow. One line for each scene: how far figures are from those of bodies_fem.py (fins_fem.py) and, in
 brackets, their errors, in per cent (transverse forces in per cent of the drag, torques of drag times radius); then how many hold, and how much
 larger than the true error the error is in the middle. HYDROGRAD names another program than target/release/hydrograd. Needs what bodies_fem.py needs.
 """
@@ -85,9 +86,32 @@ def scene(random, searched, kinds=ROUND):
     return text + bodies, first
 
 
-def finite_elements(path):
+def fins(random):
+    """A scene with fins, and the number of the first."""
+    number = lambda least, most, digits=4: float(np.round(random.uniform(least, most), digits))
+    length, height = float(random.choice([1.5, 2.0, 3.0])), float(random.choice([0.4, 0.5, 0.8]))
+    dx, fastest, first = round(height / random.choice([20, 25, 32]), 5), number(0.5, 1.2), int(random.random() < 0.6)
+    text = f'scene = "custom"\nmethod.name = "fixed"\nresolution.dx = {dx}\ninitial.temperature = 0.0\nobjective.target_x = {length}\n'
+    text += f"fluid = {{ viscosity = {random.choice([0.005, 0.01, 0.02, 0.05])}, conductivity = {random.choice([0.005, 0.01, 0.03])}, inlet_temperature = 0.0 }}\n"
+    inflow = f'{{ kind = "inflow", velocity = ["{4 * fastest / height**2:.5f}*y*({height} - y)", 0], temperature = 0 }}'
+    text += f'[region]\nsize = [{length}, {height}]\nperiodic = [false, false]\nsides = {{ left = {inflow}, right = {{ kind = "outflow" }} }}\n'
+    if first:
+        text += f'[[shapes]]\nkind = "box"\nlower = [{0.15 * length:.4f}, -0.3]\nupper = [{0.8 * length:.4f}, 0.0]\ntemperature = 1.0\n'
+    count = int(random.integers(1, 4))
+    for k in range(count):
+        x = 0.15 * length + 0.65 * length * (k + 0.5 + number(-0.1, 0.1)) / count
+        top, thick, leans = number(0.15, 0.55) * height, number(2, 5) * dx, number(-0.3, 0.3)
+        if random.random() < 0.5:
+            own = f'kind = "box"\nlower = [{x - thick / 2:.4f}, -0.1]\nupper = [{x + thick / 2:.4f}, {top:.4f}]'
+        else:
+            own = f'kind = "polyline"\npoints = [[{x - 0.1 * leans:.4f}, -0.1], [{x + leans * top:.4f}, {top:.4f}]]\nthickness = {thick:.4f}'
+        text += f"[[shapes]]\n{own}\ntemperature = 1.0\n"
+    return text, first
+
+
+def finite_elements(path, script="bodies_fem.py", *more):
     """Figures of a scene, or of the first and the best shapes of a search."""
-    done = subprocess.run([sys.executable, os.path.join(HERE, "bodies_fem.py"), path], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, os.path.join(HERE, script), path, *more], capture_output=True, text=True, check=True)
     return [json.loads(line[line.index("{"):]) for line in done.stdout.splitlines() if "{" in line]
 
 
@@ -115,6 +139,21 @@ def figures(path, out, first):
         size = np.sqrt(of_body["force"][0] ** 2 + of_body["force"][1] ** 2) * size_of(path, first + k)
         yield "torque", own["torque"] - of_body["torque"], errors.get(f"shapes[{first + k}].torque"), size
         yield "heat", own["heat"] - of_body["heat"], errors.get(f"shapes[{first + k}].heat"), max(abs(one["heat"]) for one in truth["shapes"])
+
+
+def of_fins(path, out, first):
+    record = run("simulate", path, "--error", "--out", out)
+    if record is None:
+        return
+    errors = {one["name"]: one["error"] for one in record["errors"]}
+    (truth,) = finite_elements(path, "fins_fem.py", "--far", "0.025")
+    for name in ("heat_outflow", "pressure_drop"):
+        yield name.replace("_", " "), record[name] - truth[name], errors.get(name), truth[name]
+    for k, of_fin in enumerate(truth["fins"]):
+        own, name = record["shapes"][first + k], f"shapes[{first + k}]"
+        for along, component in enumerate(["drag", "lift"]):
+            yield component, own["force"][along] - of_fin["force"][along], errors.get(f"{name}.force[{along}]"), of_fin["force"][0]
+        yield "heat", own["heat"] - of_fin["heat"], errors.get(f"{name}.heat"), max(abs(one["heat"]) for one in truth["fins"])
 
 
 def gain(path, out, _):
@@ -147,20 +186,21 @@ def conclude(found):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["figures", "corners", "gain"])
+    parser.add_argument("what", choices=["figures", "corners", "fins", "gain"])
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=3000)
     options = parser.parse_args()
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(options.count):
+            random = np.random.default_rng(options.seed + turn)
             kinds = ("polygon",) if options.what == "corners" else ROUND
-            text, first = scene(np.random.default_rng(options.seed + turn), options.what == "gain", kinds)
+            text, first = fins(random) if options.what == "fins" else scene(random, options.what == "gain", kinds)
             path, out = os.path.join(folder, f"{turn}.toml"), os.path.join(folder, f"run-{turn}")
             with open(path, "w") as file:
                 file.write(text)
             told = []
-            for name, off, error, unit in (gain if options.what == "gain" else figures)(path, out, first):
+            for name, off, error, unit in {"gain": gain, "fins": of_fins}.get(options.what, figures)(path, out, first):
                 if error is not None:
                     found.setdefault(name.split()[0], []).append((abs(off), error, abs(unit)))
                     told.append(f"{name} {100 * off / abs(unit):+.3f} ({100 * error / abs(unit):.3f}){'' if abs(off) <= error else ' OUT'}")

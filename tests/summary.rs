@@ -65,7 +65,7 @@ method = { name = "fixed" }
 region = { size = [0.8, 0.6, 0.6], periodic = [true, false, false], acceleration = [1.0, 0.0, 0.0] }
 fluid = { viscosity = 0.05 }
 resolution = { dx = 0.1 }
-objective = { kind = "drag" }
+objective = { kind = "flow-rate" }
 shapes = [{ kind = "disc", centre = [0.4, 0.3, 0.3], radius = 0.12 }]
 variables = [{ number = "shapes[0].centre[1]", lower = 0.28, upper = 0.32 }]
 "#;
