@@ -124,36 +124,41 @@ def size_of(path, k):
     return shape.get("radius") or float(np.mean(shape.get("axes") or shape["radii"]))
 
 
-def figures(path, out, first):
+def measured(path, out):
+    """The summary of a run, and the errors of figures by name; none if it failed."""
     record = run("simulate", path, "--error", "--out", out)
+    return record, record and {one["name"]: one["error"] for one in record["errors"]}
+
+
+def force_and_heat(record, errors, shape, truth, all_of_them):
+    """Those of a shape, beside those of finite elements for this one and all."""
+    own = record["shapes"][shape]
+    for along, name in enumerate(["drag", "lift"]):
+        yield name, own["force"][along] - truth["force"][along], errors.get(f"shapes[{shape}].force[{along}]"), truth["force"][0]
+    yield "heat", own["heat"] - truth["heat"], errors.get(f"shapes[{shape}].heat"), max(abs(one["heat"]) for one in all_of_them)
+
+
+def figures(path, out, first):
+    record, errors = measured(path, out)
     if record is None:
         return
-    errors = {one["name"]: one["error"] for one in record["errors"]}
     (truth,) = finite_elements(path)
     yield "flow rate", record["flow_rate"] - truth["flow_rate"], errors.get("flow_rate"), truth["flow_rate"]
     for k, of_body in enumerate(truth["shapes"]):
-        own = record["shapes"][first + k]
-        for along, name in enumerate(["drag", "lift"]):
-            error = errors.get(f"shapes[{first + k}].force[{along}]")
-            yield name, own["force"][along] - of_body["force"][along], error, of_body["force"][0]
+        yield from force_and_heat(record, errors, first + k, of_body, truth["shapes"])
         size = np.sqrt(of_body["force"][0] ** 2 + of_body["force"][1] ** 2) * size_of(path, first + k)
-        yield "torque", own["torque"] - of_body["torque"], errors.get(f"shapes[{first + k}].torque"), size
-        yield "heat", own["heat"] - of_body["heat"], errors.get(f"shapes[{first + k}].heat"), max(abs(one["heat"]) for one in truth["shapes"])
+        yield "torque", record["shapes"][first + k]["torque"] - of_body["torque"], errors.get(f"shapes[{first + k}].torque"), size
 
 
 def of_fins(path, out, first):
-    record = run("simulate", path, "--error", "--out", out)
+    record, errors = measured(path, out)
     if record is None:
         return
-    errors = {one["name"]: one["error"] for one in record["errors"]}
     (truth,) = finite_elements(path, "fins_fem.py", "--far", "0.025")
-    for name in ("heat_outflow", "pressure_drop"):
-        yield name.replace("_", " "), record[name] - truth[name], errors.get(name), truth[name]
+    for name, figure in (("outflow", "heat_outflow"), ("pressure drop", "pressure_drop")):
+        yield name, record[figure] - truth[figure], errors.get(figure), truth[figure]
     for k, of_fin in enumerate(truth["fins"]):
-        own, name = record["shapes"][first + k], f"shapes[{first + k}]"
-        for along, component in enumerate(["drag", "lift"]):
-            yield component, own["force"][along] - of_fin["force"][along], errors.get(f"{name}.force[{along}]"), of_fin["force"][0]
-        yield "heat", own["heat"] - of_fin["heat"], errors.get(f"{name}.heat"), max(abs(one["heat"]) for one in truth["fins"])
+        yield from force_and_heat(record, errors, first + k, of_fin, truth["fins"])
 
 
 def gain(path, out, _):

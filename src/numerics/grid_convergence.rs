@@ -6,7 +6,9 @@
 //! spacings the largest of their estimates counts.
 
 /// The factor of safety of the grid convergence index where more than two spacings are compared.
-const SAFETY: f64 = 1.25;
+pub const SAFETY: f64 = 1.25;
+/// The same where only two are.
+pub const SAFETY_OF_TWO: f64 = 3.0;
 
 /// A figure at a spacing.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -8,6 +8,7 @@ use super::custom_shape::{self, Shape};
 use crate::config::custom::{Fill, Kind, ShapeEntry};
 use crate::design::shapes::On;
 use crate::particles::Domain;
+use crate::sph::cloud::space::surface::from_all;
 use std::collections::HashMap;
 
 /// Walls in a box with its corner at 0.
@@ -294,8 +295,7 @@ fn of_entry(shape: &Shape, p: [f64; 3], domain: &Domain) -> f64 {
                     (low - p[d]).max(p[d] - high)
                 })
                 .collect();
-            let outside = beyond.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
-            outside + beyond.iter().fold(f64::NEG_INFINITY, |most, x| most.max(*x)).min(0.0)
+            from_all(&beyond)
         }
         Kind::Disc => from_axis(None),
         Kind::Cylinder => from_axis(Some(axis.unwrap_or_default().direction())),

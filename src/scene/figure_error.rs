@@ -12,7 +12,7 @@
 use super::flows::columns_of;
 use super::record::Record;
 use crate::config::scene::{Config, Family, Method};
-use crate::numerics::grid_convergence::{at_finest, observed_order, Point};
+use crate::numerics::grid_convergence::{at_finest, observed_order, Point, SAFETY, SAFETY_OF_TWO};
 use crate::sph::cloud::outline::Outline;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -43,16 +43,13 @@ const OF_SHAPES: [&str; 3] = ["force", "torque", "heat"];
 const POOLED: f64 = 0.35;
 /// The first of these around bodies in three dimensions, where spacings are so coarse that figures agree by chance more often: with
 /// `ORDER_AROUND_BODIES` 14 of 16 drags and heats of a cube and of a cylinder of 4 to 6 spacings are as near to finite elements as their errors say, which are
-/// 2.8 times the true ones in the middle; with 0.35 and an order of 2 it was 11 of 16. (That was before `FEWER`, which is meant for the other two.)
+/// 2.8 times the true ones in the middle; with 0.35 and an order of 2 it was 11 of 16. (That was before `SAFETY_OF_TWO`, which is meant for the other two.)
 const POOLED_AROUND_BODIES: f64 = 1.0;
 /// The relative error of heat that the ends of the hot section make, where the temperature is singular, with ten rows between the walls and 25 spacings
 /// along the hot section, and its order. With fixed particles Q over the flat wall is 0.19 and 0.05 % off with ten and twenty rows, over the 51 walls of
 /// data/reference 0.15 % in the middle. With moving ones it is up to 0.35 and 0.2 % off at dx = 0.02 and 0.01, in channels of other heights than 0.2.
 const HOT_ENDS_FIXED: (f64, f64) = (1.5e-3, ORDER_OF_HEAT);
 const HOT_ENDS_MOVING: (f64, f64) = (3.5e-3, 0.8);
-/// The factor of an error that is known from one coarser spacing instead of two: the grid convergence index has a factor of safety of 3 there, and of
-/// 1.25 otherwise (Roache 1998).
-const FEWER: f64 = 3.0 / 1.25;
 /// Relative changes below this are rounding, or the tolerance of an iteration.
 pub(super) const ROUNDING: f64 = 1e-7;
 
@@ -224,35 +221,46 @@ fn same_extent(config: &Config, name: &str, spacing: f64) -> f64 {
     }
 }
 
-/// The figures at coarser spacings, where a figure was told by the same sums as in the finest: around a shape between walls so many coarse spacings may
+/// A run at a coarser spacing.
+struct Coarser<'a> {
+    spacing: f64,
+    record: &'a Record,
+    figures: Vec<Figure>,
+}
+
+/// The runs at coarser spacings, where a figure was told by the same sums as in the finest: around a shape between walls so many coarse spacings may
 /// have no room for a closed surface, and what is told otherwise differs by more than the error. All, if it was the same nowhere.
-fn comparable(finest: &Record, coarser: &[(f64, Record)], name: &str) -> Vec<(f64, Vec<Figure>)> {
+fn comparable<'a>(finest: &Record, coarser: &'a [Coarser], name: &str) -> Vec<&'a Coarser<'a>> {
     let told_by = |record: &Record| -> Vec<Value> {
         let shapes = record.rows("shapes").into_iter().flatten().enumerate();
         let is_asked = |k: &usize| name == "objective" || name.starts_with(&format!("shapes[{k}]."));
         shapes.filter(|(k, _)| is_asked(k)).map(|(_, shape)| shape["told_by"].clone()).collect()
     };
     let own = told_by(finest);
-    let mut same: Vec<&(f64, Record)> = coarser.iter().filter(|(_, record)| told_by(record) == own).collect();
+    let same: Vec<&Coarser> = coarser.iter().filter(|one| told_by(one.record) == own).collect();
     if same.is_empty() {
-        same = coarser.iter().collect();
+        return coarser.iter().collect();
     }
-    same.into_iter().map(|(spacing, record)| (*spacing, figures(record))).collect()
+    same
 }
 
 /// The errors of the figures of a run, given the records of the same at coarser spacings.
 pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Vec<FigureError> {
+    let coarser: Vec<Coarser> = coarser
+        .iter()
+        .map(|(spacing, record)| Coarser { spacing: *spacing, record, figures: figures(record) })
+        .collect();
     let mut found = vec![];
     let of_run = figures(record);
     for (name, value) in of_run.clone() {
         let finest = Point { spacing: config.resolution.dx, value };
-        let alike = comparable(record, coarser, &name);
-        let factor = if alike.len() < coarser.len() { FEWER } else { 1.0 };
+        let alike = comparable(record, &coarser, &name);
+        let factor = if alike.len() < coarser.len() { SAFETY_OF_TWO / SAFETY } else { 1.0 };
         let points: Vec<Point> = alike
             .iter()
-            .filter_map(|(spacing, figures)| {
-                let (_, value) = figures.iter().find(|(other, _)| *other == name)?;
-                Some(Point { spacing: *spacing, value: value * same_extent(config, &name, *spacing) })
+            .filter_map(|one| {
+                let (_, value) = one.figures.iter().find(|(other, _)| *other == name)?;
+                Some(Point { spacing: one.spacing, value: value * same_extent(config, &name, one.spacing) })
             })
             .collect();
         // A figure that is given, such as the body force, does not change.
@@ -272,7 +280,7 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
     let least = all.get(all.len() / 2).map_or(0.0, |median| pooled * median);
     for one in &mut found {
         let least = least.max(of_hot_ends(config, &one.name));
-        let of_force = of_force(config, &of_run, &comparable(record, coarser, &one.name), &one.name);
+        let of_force = of_force(config, &of_run, &comparable(record, &coarser, &one.name), &one.name);
         one.parts.discretisation = one.parts.discretisation.max(least * one.value.abs()).max(of_force);
     }
     // The objective may be one of the other figures.
@@ -288,7 +296,7 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
 /// The least error of a component of a shape's force or of its torque in the plane; 0 for other figures. A component that is small because much
 /// cancels in it, as the lift of a body does, is as far off as others are. The torque's is that of the force times the radius of a circle of the
 /// shape's area.
-fn of_force(config: &Config, finest: &[Figure], coarser: &[(f64, Vec<Figure>)], name: &str) -> f64 {
+fn of_force(config: &Config, finest: &[Figure], coarser: &[&Coarser], name: &str) -> f64 {
     let Some((shape, figure)) = name.split_once('.') else { return 0.0 };
     let arm = match figure {
         "torque" => radius_of(config, shape).unwrap_or(0.0),
@@ -301,7 +309,8 @@ fn of_force(config: &Config, finest: &[Figure], coarser: &[(f64, Vec<Figure>)], 
     };
     let own = force(finest);
     let off = |of: &[Figure]| force(of).iter().zip(&own).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-    let points: Vec<Point> = coarser.iter().map(|(spacing, of)| Point { spacing: *spacing, value: off(of) }).collect();
+    let points: Vec<Point> =
+        coarser.iter().map(|one| Point { spacing: one.spacing, value: off(&one.figures) }).collect();
     let error = at_finest(Point { spacing: config.resolution.dx, value: 0.0 }, &points, order(config, name));
     POOLED * arm * error.unwrap_or(0.0)
 }

@@ -358,7 +358,7 @@ impl Measures {
 
     /// What tells the force of a shape and its heat: `balance`, a closed `surface` around it, or the sum over its own `points`.
     pub fn told_by(&self, at: &At<'_>, shape: usize) -> [&'static str; 2] {
-        let own = if self.around[shape].is_some() { "surface" } else { "points" };
+        let own = if self.is_told_around(shape) { "surface" } else { "points" };
         [self.balances_force(at, shape), self.balances_heat(at, shape)]
             .map(|balances| if balances { "balance" } else { own })
     }

@@ -161,9 +161,15 @@ pub fn part_of_volume<S: Scalar>(from: &[Option<f64>; 3], on: &OnSurface<S>) -> 
 }
 
 /// The distance from what is within several walls, from those of each: exact near one of them, and at right edges.
-fn from_all(distances: &[f64]) -> f64 {
+pub fn from_all(distances: &[f64]) -> f64 {
     let outside = distances.iter().map(|x| x.max(0.0).powi(2)).sum::<f64>().sqrt();
-    outside + distances.iter().fold(f64::MIN, |most, x| most.max(*x)).min(0.0)
+    outside + distances.iter().fold(f64::NEG_INFINITY, |most, x| most.max(*x)).min(0.0)
+}
+
+/// Points around an outline, of which those of every second row are half a point further.
+fn in_row(k: usize, round: Vec<(f64, f64, f64)>) -> impl Iterator<Item = (f64, f64)> {
+    let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
+    round.into_iter().map(move |(t, dt, _)| ((t + shift * dt).rem_euclid(1.0), dt))
 }
 
 /// The area that a line from a centre to a point of an outline sweeps twice, by the parameter.
@@ -172,22 +178,20 @@ fn ring_area<S: Scalar>(centre: [S; 2], point: &OnOutline<S>) -> S {
 }
 
 impl Column {
-    /// Where it begins and ends along its axis, for numbers of the shape.
-    fn ends<S: Scalar>(&self, s: &[S]) -> [S; 2] {
-        let sides = self.standing.sides[self.axis];
-        let of = |end: usize, all: f64| match (sides[end], self.has_ends) {
-            (Some(side), _) => S::of(side),
-            (None, true) => s[self.outline.geometry + end],
-            (None, false) => S::of(all),
-        };
-        [of(0, 0.0), of(1, self.region)]
+    /// Where it begins and ends along its axis, for numbers of the shape, be it behind sides.
+    fn all<S: Scalar>(&self, s: &[S]) -> [S; 2] {
+        let g = self.outline.geometry;
+        if self.has_ends {
+            [s[g], s[g + 1]]
+        } else {
+            [0.0, self.region].map(S::of)
+        }
     }
 
-    /// What it stands on for other numbers.
-    fn standing(&self, region: &Region<3>, s: &[f64]) -> Standing {
-        let g = self.outline.geometry;
-        let ends = if self.has_ends { [s[g], s[g + 1]] } else { [0.0, self.region] };
-        Standing::of_column(region, self.axis, ends)
+    /// Where what is in the region begins and ends.
+    fn ends<S: Scalar>(&self, s: &[S]) -> [S; 2] {
+        let (all, sides) = (self.all(s), self.standing.sides[self.axis]);
+        [0, 1].map(|end| sides[end].map_or(all[end], S::of))
     }
 
     /// Points of the outline that is moved outwards.
@@ -208,13 +212,8 @@ impl Column {
         let round = spread(&samples, &way, &vec![spacing; samples.len()], true, 0.0, 1.0);
         let [low, high] = self.ends(numbers);
         let (rows, length) = self.standing.rows(self.axis, high - low, spacing, distance > 0.0);
-        let row = |(k, at): (usize, f64)| {
-            // Every second row is half a point further.
-            let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
-            let of =
-                |&(t, dt, _): &(f64, f64, f64)| Spot::Column { t: (t + shift * dt).rem_euclid(1.0), dt, at, length };
-            round.iter().map(of).collect::<Vec<_>>()
-        };
+        let row =
+            |(k, at): (usize, f64)| in_row(k, round.clone()).map(move |(t, dt)| Spot::Column { t, dt, at, length });
         rows.into_iter().enumerate().flat_map(row).collect()
     }
 
@@ -226,11 +225,8 @@ impl Column {
         let ring = |k: usize| {
             let ring = [k as f64 / rings, (k as f64 + 1.0) / rings];
             let out = 0.5 * (ring[0] + ring[1]);
-            let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
             let round = spread(&samples, &way, &vec![spacing / out; samples.len()], true, 0.0, 1.0);
-            let of =
-                |(t, dt, _): (f64, f64, f64)| Spot::End { end, t: (t + shift * dt).rem_euclid(1.0), dt, out, ring };
-            round.into_iter().map(of).collect::<Vec<_>>()
+            in_row(k, round).map(move |(t, dt)| Spot::End { end, t, dt, out, ring })
         };
         (0..rings as usize).flat_map(ring).collect()
     }
@@ -293,7 +289,7 @@ impl Surface {
                 from_all(&[0, 1, 2].map(|d| r[d].abs() - half[d]))
             }
             Form::Column(column) => {
-                let Column { axis, outline, has_ends, polygon, samples, plane, .. } = column.as_ref();
+                let Column { axis, has_ends, polygon, samples, plane, .. } = column.as_ref();
                 let [a, b] = across(*axis);
                 let q = [p[a], p[b]];
                 let distance = samples.distance(plane.wrapped(q), f64::INFINITY);
@@ -301,9 +297,9 @@ impl Surface {
                 if !has_ends {
                     return distance;
                 }
-                let (g, mut middle) = (outline.geometry, p);
-                let half = 0.5 * (self.numbers[g + 1] - self.numbers[g]);
-                middle[*axis] = self.numbers[g] + half;
+                let ([low, high], mut middle) = (column.all(&self.numbers), p);
+                let half = 0.5 * (high - low);
+                middle[*axis] = low + half;
                 from_all(&[distance, region.between(middle, p)[*axis].abs() - half])
             }
             Form::Facets(facets) => {
@@ -427,23 +423,24 @@ impl Surface {
         }
     }
 
+    /// The sides that the shape stands on.
+    fn standing(&self) -> Standing {
+        match &self.form {
+            Form::Column(column) => column.standing,
+            Form::Box(standing) => *standing,
+            Form::Ball | Form::Facets(_) => Standing { sides: [[None; 2]; 3] },
+        }
+    }
+
     /// Whether the shape ends at a side of the region (2 d + (0 low, 1 high)), which closes it.
     pub fn stands_on(&self, side: usize) -> bool {
-        match &self.form {
-            Form::Column(column) => column.standing.stands(side / 2, side % 2),
-            Form::Box(standing) => standing.stands(side / 2, side % 2),
-            Form::Ball | Form::Facets(_) => false,
-        }
+        self.standing().stands(side / 2, side % 2)
     }
 
     /// Where r of [`Self::volume`] begins along each direction; nowhere along the axis of a column without ends, or where a shape goes from
     /// side to side.
     pub fn from(&self, centre: [f64; 3]) -> [Option<f64>; 3] {
-        let standing = match &self.form {
-            Form::Column(column) => column.standing,
-            Form::Box(standing) => *standing,
-            Form::Ball | Form::Facets(_) => Standing { sides: [[None; 2]; 3] },
-        };
+        let standing = self.standing();
         std::array::from_fn(|d| match (standing.sides[d], &self.form) {
             ([Some(_), Some(_)], _) => None,
             ([None, None], Form::Column(column)) if d == column.axis && !column.has_ends => None,
@@ -462,7 +459,7 @@ impl Surface {
     pub fn stands_elsewhere(&self, region: &Region<3>, numbers: &[f64]) -> bool {
         match &self.form {
             Form::Box(own) => *own != Standing::of_box(region, numbers),
-            Form::Column(column) => column.standing != column.standing(region, numbers),
+            Form::Column(column) => column.standing != Standing::of_column(region, column.axis, column.all(numbers)),
             Form::Ball | Form::Facets(_) => false,
         }
     }
