@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sparse
 import scipy.sparse.linalg as solvers
 from bodies_fem import formula, triangles
-from skfem import Basis, BilinearForm, ElementTriP1, ElementTriP2, ElementVector, FacetBasis, Functional, asm
+from skfem import Basis, BilinearForm, ElementTriP1, ElementTriP2, ElementVector, FacetBasis, Functional, LinearForm, asm
 from skfem.helpers import ddot, div, dot, grad, mul
 
 
@@ -60,7 +60,6 @@ def mesh(size, fins, edges, far):
     step = np.hypot(*(np.roll(points, -1, 0) - points).T)
     h = np.minimum(np.minimum(step, np.roll(step, 1)), far)
     h[[k for k, p in enumerate(points) if p[1] == 0 and p[0] in edges]] = far / 8
-    # The residual at the foot of a fin has a sixth of what an edge of the floor carries, too.
     feet = [x for f in fins for x in (f[0, 0], f[-1, 0])]
     h[[k for k, p in enumerate(points) if abs(p[1]) < 1e-12 and p[0] in feet]] = far / 12
     gmsh.initialize()
@@ -123,11 +122,17 @@ def flow(scene, count, far):
         given.append(nodes)
     rest = np.setdiff1d(np.arange(bt.N), np.concatenate(given))
     T[rest] = solvers.spsolve(heat[rest][:, rest].tocsc(), -(heat @ T)[rest])
+    # The residual at the foot of a fin has what the first edge of the floor carries, too.
+    elements = ElementVector(ElementTriP2()), ElementTriP1(), ElementTriP2()
+    of_u, of_p, of_t = [FacetBasis(m, element, facets=facets[(y < 1e-9) & wall], intorder=5) for element in elements]
+    push = LinearForm(lambda v, w: nu * dot(mul(grad(w["u"]), w.n), v) - w["p"] * dot(w.n, v))
+    R = R[: bv.N] - asm(push, of_u, u=of_u.interpolate(u), p=of_p.interpolate(z[bv.N :]))
+    flux = heat @ T - asm(LinearForm(lambda v, w: alpha * dot(grad(w["t"]), w.n) * v), of_t, t=of_t.interpolate(T))
     found = {"fins": []}
     for which in owner:
         nodes = bv.get_dofs(facets[which]).flatten()
         force = [-R[nodes[component[nodes] == d]].sum() for d in (0, 1)]
-        found["fins"].append({"force": force, "heat": (heat @ T)[bt.get_dofs(facets[which]).flatten()].sum()})
+        found["fins"].append({"force": force, "heat": flux[bt.get_dofs(facets[which]).flatten()].sum()})
     out = [FacetBasis(m, element, facets=facets[at_right], intorder=5) for element in (ElementVector(ElementTriP2()), ElementTriP2())]
     found["heat_outflow"] = asm(Functional(lambda w: w["u"][0] * w["t"]), out[1], u=out[0].interpolate(u), t=out[1].interpolate(T))
 

@@ -277,7 +277,7 @@ pub fn record<S>(loaded: &Loaded, around: &impl Around<Solution = S>, run: &Run<
     record.put("shapes", shapes);
     if around.has_objective() {
         let objective = history.course(window, &|moment| moment.objective);
-        record.put("objective_kind", loaded.config.objective.kind);
+        record.put("objective_kind", loaded.config.objective.recorded_kind());
         record.put("objective", objective.mean);
         all.push(course_json("objective", &objective));
         record.put("objective_at_end", history.moments.last().map(|moment| moment.objective));

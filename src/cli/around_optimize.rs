@@ -31,6 +31,8 @@ use std::path::Path;
 
 /// A jump of the objective where particles are placed anew that is worth a warning.
 const JUMP: f64 = 0.02;
+/// A gradient times the width of the limits is rounding where it is less of the objective.
+const UNMOVED: f64 = 1e-12;
 
 /// Searches in a folder. A search that was interrupted is made again: it takes seconds and ends at the same shapes, to the bit.
 pub fn run(loaded: &Loaded, folder: &Path, earlier: Earlier, verifies: bool) -> anyhow::Result<()> {
@@ -204,7 +206,15 @@ fn put_search(record: &mut Record, loaded: &Loaded, found: &Found, name: &str, b
     });
     record.put("variables", numbers.collect::<Value>());
     let mut warnings = record.warnings();
-    if *best == 0 && history.len() > 1 {
+    let width = config.variables.iter().map(|variable| variable.upper - variable.lower).fold(0.0, f64::max);
+    if history[0].gradient_norm * width <= UNMOVED * history[0].objective.abs() {
+        warnings.push(Warning::new(
+            "no-gradient",
+            [history[0].gradient_norm, 0.0],
+            "no variable changes the objective: its gradient is 0".into(),
+            "an objective that is not held, in a flow that moves, and variables that act on it",
+        ));
+    } else if *best == 0 && history.len() > 1 {
         warnings.push(Warning::new(
             "no-improvement",
             [0.0, 0.0],

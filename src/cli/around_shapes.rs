@@ -466,7 +466,7 @@ impl Checked {
             "passed": passed,
             "tolerance": tolerance,
             "worst_relative_error": worst,
-            "objective_kind": config.objective.kind,
+            "objective_kind": config.objective.recorded_kind(),
             "objective": found,
             "gradient": gradient,
             "gradient_norm": norm,

@@ -179,7 +179,7 @@ pub fn report_flow<R: Sweeps>(
     }
     let objective = finished.objective_of_shapes();
     if let Some(objective) = objective {
-        record.put("objective_kind", loaded.config.objective.kind);
+        record.put("objective_kind", loaded.config.objective.recorded_kind());
         record.put("objective", objective);
     }
     record.put_warnings(loaded, warnings);

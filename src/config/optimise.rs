@@ -10,6 +10,7 @@ use crate::config::run::Precision;
 use crate::config::section::section;
 use crate::error::BadInput;
 use serde::{Deserialize, Serialize};
+use serde_json::{json, Value};
 
 section! {
     "objective.": Objective {
@@ -52,6 +53,14 @@ impl Objective {
     /// The figure of an objective without terms.
     pub fn asked(&self) -> Asked {
         Asked { kind: self.kind, shapes: self.shapes.clone(), at: self.at.clone() }
+    }
+
+    /// `objective_kind` in records: the kind, or `terms` where it is their sum.
+    pub fn recorded_kind(&self) -> Value {
+        match self.terms.is_empty() {
+            true => json!(self.kind),
+            false => json!("terms"),
+        }
     }
 }
 

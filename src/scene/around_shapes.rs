@@ -17,7 +17,7 @@ use crate::sph::cloud::figures::MeasureSettings;
 use crate::sph::cloud::nearest::{Nearest, Plane};
 use crate::sph::cloud::outline::{area, Outline};
 use crate::sph::cloud::particles::{Balanced, Cloud, Fluid, Surroundings, Unusable};
-use crate::sph::cloud::placing::{BoundaryPoint, Ground, Polygon, Unplaceable};
+use crate::sph::cloud::placing::{behind, BoundaryPoint, Ground, Polygon, Unplaceable};
 use crate::sph::cloud::problem::{NoSolution, Solution, SteadyFlow};
 use crate::sph::cloud::sliding::Footing;
 use crate::sph::cloud::steady::{Held, NoSteadyState};
@@ -94,8 +94,7 @@ impl Surroundings for Conditions {
         if point.on.is_some() || point.side.is_some_and(|side| self.sides[side].is_some()) {
             return None;
         }
-        let behind: [f64; 2] = std::array::from_fn(|d| place[d] - 0.25 * self.dx * point.normal[d]);
-        self.polygons.iter().rposition(|polygon| polygon.covers(&self.plane, behind))
+        behind(&self.plane, self.dx, &self.polygons, place, point.normal)
     }
 
     fn varies(&self, point: &BoundaryPoint, place: [f64; 2]) -> bool {

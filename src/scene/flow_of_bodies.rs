@@ -232,7 +232,7 @@ impl AroundBodies {
             all.push(("heat_outflow", json!(value(Figure::HeatOutflow))));
         }
         if self.has_objective() {
-            all.push(("objective_kind", json!(self.config().objective.kind)));
+            all.push(("objective_kind", self.config().objective.recorded_kind()));
             all.push(("objective", json!(self.objective(solution).0)));
         }
         let counts = self.flow.solver.counts;

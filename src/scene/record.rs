@@ -123,7 +123,7 @@ impl Record {
         if let Some(measured) = measured {
             record.0.extend(Self::of_measured(&loaded.config, measured).0);
             if loaded.config.flows_through() {
-                record.put("objective_kind", loaded.config.objective.kind);
+                record.put("objective_kind", loaded.config.objective.recorded_kind());
                 record.put("objective", measured.objective(&loaded.config));
             }
         }

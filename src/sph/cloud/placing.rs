@@ -91,6 +91,8 @@ const FINEST: f64 = 0.4;
 const OFF_SIDES: f64 = 0.5;
 /// What is nearer to a side of the box touches it, in dx.
 const TOUCH: f64 = 1e-9;
+/// A shape may end so far behind the side that it is behind, in dx.
+const BEHIND: f64 = 0.25;
 /// Samples of the spacing along a side that a surface meets, per cell of the lattice.
 const SAMPLES: usize = 4;
 /// Places between two points of a side at which there may be a wall.
@@ -164,6 +166,25 @@ impl Polygon {
     pub fn covers(&self, plane: &Plane, p: [f64; 2]) -> bool {
         plane.images().any(|image| self.contains([p[0] + image[0], p[1] + image[1]]))
     }
+}
+
+/// The shape behind a point of a side of the box, the last one if there are several. It may end up to [`BEHIND`] dx behind the side, so that
+/// no rounding decides. A shape that is no farther away along the side is not behind the point but beside it: it leans there, as a fin does.
+pub fn behind(plane: &Plane, dx: f64, polygons: &[Polygon], place: [f64; 2], normal: [f64; 2]) -> Option<usize> {
+    let covers = |shape: usize, out: f64, aside: f64| {
+        let [x, y] = normal;
+        polygons[shape].covers(plane, [place[0] + dx * (out * x - aside * y), place[1] + dx * (out * y + aside * x)])
+    };
+    let is_below = |shape: usize| {
+        let is_nearer_beside = || {
+            let is_beside = |far: f64| [far, -far].into_iter().any(|aside| covers(shape, -TOUCH, aside));
+            let mut steps = (1..=BETWEEN).map(|step| BEHIND * step as f64 / BETWEEN as f64);
+            steps.find(|&far| is_beside(far) || covers(shape, -far, 0.0)).is_some_and(is_beside)
+        };
+        covers(shape, -BEHIND, 0.0) && !is_nearer_beside()
+    };
+    let last = |is_behind: &dyn Fn(usize) -> bool| (0..polygons.len()).rev().find(|&shape| is_behind(shape));
+    last(&|shape| covers(shape, -TOUCH, 0.0)).or_else(|| last(&is_below))
 }
 
 fn outward(along: [f64; 2]) -> [f64; 2] {
@@ -680,9 +701,7 @@ impl Ground {
         let points: Vec<_> =
             on.clone().map(|(k, side, point)| (k, side, on_side(side, places.place[point.particle]))).collect();
         let behind = on.map(|(_, _, point)| {
-            let place = places.place[point.particle];
-            let p = std::array::from_fn(|d| place[d] - 0.25 * self.dx * point.normal[d]);
-            self.is_in_wall(&places.polygons, p, None)
+            behind(&self.plane, self.dx, &places.polygons, places.place[point.particle], point.normal)
         });
         // What holds on a side may change where a shape behind it ends, which stays there.
         for (pair, is_behind) in points.windows(2).zip(behind.collect::<Vec<_>>().windows(2)) {
