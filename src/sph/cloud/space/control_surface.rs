@@ -43,6 +43,8 @@ const ASIDE: [f64; 3] = [0.023, 0.017, 0.013];
 /// Parts of a cell along each direction, whose volumes or areas go to the nearest particles.
 const PARTS: usize = 2;
 const PARTS_OF_SIDES: usize = 4;
+/// The same of cells that the shape's own border goes through.
+const PARTS_CUT: usize = 16;
 
 /// A corner of a face: a particle, or an image of it.
 #[derive(Debug, Clone, Copy)]
@@ -52,6 +54,9 @@ struct Corner {
 }
 
 type Face = [Corner; 4];
+
+/// Where surfaces end on sides of the region: how far corners are from the nodes of the lattice, by the surface and the node.
+type Edge = HashMap<(usize, [usize; 3]), [f64; 3]>;
 
 /// The surface around a shape.
 #[derive(Debug, Clone)]
@@ -115,6 +120,16 @@ impl Grid {
 
     fn centre(&self, index: [usize; 3]) -> [f64; 3] {
         std::array::from_fn(|d| (index[d] as f64 + 0.5) * self.step[d])
+    }
+
+    /// The place of a node, of which a cell has its index as the first one.
+    fn node(&self, node: [usize; 3]) -> [f64; 3] {
+        std::array::from_fn(|d| node[d] as f64 * self.step[d])
+    }
+
+    /// A node within the first period.
+    fn wrapped(&self, node: [usize; 3]) -> [usize; 3] {
+        std::array::from_fn(|d| if self.periodic[d] { node[d] % self.count[d] } else { node[d] })
     }
 
     fn at(&self, index: [usize; 3]) -> Option<(u16, u8)> {
@@ -216,17 +231,15 @@ pub fn around_all(cloud: &Cloud, points: &[Vec<usize>], balanced: Balanced) -> V
     (0..points.len()).map(one).collect()
 }
 
-/// Gauss's points on a face: shares of the corners there, and their derivatives along both edges.
+/// At a place of a face, from 0 to 1 along both of its edges: shares of the corners, and their derivatives along both.
+fn bilinear([s, t]: [f64; 2]) -> [[f64; 4]; 3] {
+    [[(1.0 - s) * (1.0 - t), s * (1.0 - t), s * t, (1.0 - s) * t], [t - 1.0, 1.0 - t, t, -t], [s - 1.0, -s, s, 1.0 - s]]
+}
+
+/// The same at Gauss's points.
 fn gauss() -> [[[f64; 4]; 3]; 4] {
     let off = 0.5 / 3f64.sqrt();
-    std::array::from_fn(|k| {
-        let [s, t] = [k / 2, k % 2].map(|end| if end == 0 { 0.5 - off } else { 0.5 + off });
-        [
-            [(1.0 - s) * (1.0 - t), s * (1.0 - t), s * t, (1.0 - s) * t],
-            [t - 1.0, 1.0 - t, t, -t],
-            [s - 1.0, -s, s, 1.0 - s],
-        ]
-    })
+    std::array::from_fn(|k| bilinear([k / 2, k % 2].map(|end| if end == 0 { 0.5 - off } else { 0.5 + off })))
 }
 
 /// A sum of the corners' places with weights.
@@ -343,7 +356,7 @@ impl ControlSurface {
             cell.is_some_and(|(own, least)| own as usize == shape && least as usize <= line)
         };
         let stands = |side: usize| surface.stands_on(side);
-        let mut faces = vec![];
+        let (mut faces, mut edge) = (vec![], Edge::new());
         for index in (0..grid.cells.len()).map(|k| grid.index(k)) {
             let own = grid.at(index);
             for along in 0..3 {
@@ -373,7 +386,11 @@ impl ControlSurface {
                         let sides: Vec<usize> = (0..6).filter(|side| is_end(side / 2, side % 2)).collect();
                         let p = std::array::from_fn(|d| (node[d] as f64 + ASIDE[d]) * grid.step[d]);
                         let particle = particles.near(p, &sides)?;
-                        Some(Corner { particle, shift: shift_to(&region, cloud.places.place[particle], middle) })
+                        let place = cloud.places.place[particle];
+                        if !sides.is_empty() {
+                            edge.insert((line, grid.wrapped(node)), region.between(grid.node(node), place));
+                        }
+                        Some(Corner { particle, shift: shift_to(&region, place, middle) })
                     };
                     let [p, q, r, s] = around;
                     faces.push([corner(p)?, corner(q)?, corner(r)?, corner(s)?]);
@@ -387,7 +404,7 @@ impl ControlSurface {
         }
         let needs_within = balanced != Balanced::Steady || cloud.fluid.buoyancy.is_some();
         let within = if needs_within { grid.shares(cloud, shape, particles) } else { vec![] };
-        let feet = grid.feet(cloud, shape, particles);
+        let feet = grid.feet(cloud, shape, &edge, particles);
         Some(Self { faces, own: points.to_vec(), feet, within, from, own_from, balanced })
     }
 
@@ -666,32 +683,41 @@ impl Grid {
     }
 
     /// What closes surfaces around a shape on the sides that it stands on.
-    fn feet(&self, cloud: &Cloud, shape: usize, particles: &mut Particles<'_>) -> Vec<(usize, [f64; 3])> {
+    fn feet(&self, cloud: &Cloud, shape: usize, edge: &Edge, particles: &mut Particles<'_>) -> Vec<(usize, [f64; 3])> {
         let (region, places) = (&cloud.ground.region, &cloud.places);
         let mut found: BTreeMap<(usize, usize), f64> = BTreeMap::new();
         let surface = &cloud.ground.surfaces[shape];
         for side in (0..6).filter(|&side| surface.stands_on(side)) {
-            let (along, [a, b]) = (side / 2, across(side / 2));
-            let level = if side.is_multiple_of(2) { 0 } else { self.count[along] - 1 };
-            let each = self.step[a] * self.step[b] / (PARTS_OF_SIDES * PARTS_OF_SIDES) as f64;
+            let (along, [a, b], end) = (side / 2, across(side / 2), side % 2);
+            let on_side = region.size[along] * end as f64;
             for k in 0..self.count[a] * self.count[b] {
-                let mut index = [level; 3];
+                let mut index = [end * (self.count[along] - 1); 3];
                 (index[a], index[b]) = (k / self.count[b], k % self.count[b]);
                 let lines = self.lines(shape, self.at(index));
-                if lines == 0 {
-                    continue;
-                }
-                for sub in 0..PARTS_OF_SIDES * PARTS_OF_SIDES {
-                    let part = |k: usize| ((k % PARTS_OF_SIDES) as f64 + 0.5) / PARTS_OF_SIDES as f64;
-                    let mut p = [0.0; 3];
-                    p[along] = region.size[along] * (side % 2) as f64;
-                    p[a] = (index[a] as f64 + part(sub)) * self.step[a];
-                    p[b] = (index[b] as f64 + part(sub / PARTS_OF_SIDES)) * self.step[b];
-                    if cloud.ground.distance(p, None) <= 0.0 {
-                        continue;
-                    }
-                    if let Some(particle) = particles.near(p, &[side]) {
-                        *found.entry((side, particle)).or_insert(0.0) += SHARE * lines as f64 * each;
+                let mut middle = self.centre(index);
+                middle[along] = on_side;
+                let is_cut = surface.distance(region, middle).abs() < self.step[a].hypot(self.step[b]);
+                let parts = if is_cut { PARTS_CUT } else { PARTS_OF_SIDES };
+                for line in REACHES.len() - lines..REACHES.len() {
+                    let corners = [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[x, y]| {
+                        let mut node = index;
+                        (node[along], node[a], node[b]) = (end * self.count[along], node[a] + x, node[b] + y);
+                        let moved = edge.get(&(line, self.wrapped(node)));
+                        let place = self.node(node);
+                        moved.map_or(place, |moved| std::array::from_fn(|d| place[d] + moved[d]))
+                    });
+                    for sub in 0..parts * parts {
+                        let of = |k: usize| ((k % parts) as f64 + 0.5) / parts as f64;
+                        let [shares, by_s, by_t] = bilinear([of(sub), of(sub / parts)]);
+                        let p = weighted(&corners, &shares);
+                        if cloud.ground.distance(p, None) <= 0.0 {
+                            continue;
+                        }
+                        let (s, t) = (weighted(&corners, &by_s), weighted(&corners, &by_t));
+                        let area = (s[a] * t[b] - s[b] * t[a]) / (parts * parts) as f64;
+                        if let Some(particle) = particles.near(p, &[side]) {
+                            *found.entry((side, particle)).or_insert(0.0) += SHARE * area;
+                        }
                     }
                 }
             }
