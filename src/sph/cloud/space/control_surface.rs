@@ -58,6 +58,35 @@ type Face = [Corner; 4];
 /// Where surfaces end on sides of the region: how far corners are from the nodes of the lattice, by the surface and the node.
 type Edge = HashMap<(usize, [usize; 3]), [f64; 3]>;
 
+/// A point of a side of the region, within surfaces around a shape that stands there.
+#[derive(Debug, Clone)]
+pub struct Foot {
+    /// Index of the boundary.
+    pub point: usize,
+    normal: [f64; 3],
+    /// The area that it stands for, times the share of the surfaces that it is within: this number and a sum over places of points of the
+    /// shape, which covers more of the side or less where its border moves.
+    area: f64,
+    by: BTreeMap<usize, [f64; 3]>,
+}
+
+impl Foot {
+    /// Normal into the fluid times area.
+    pub fn area(&self, at: &At<'_>) -> [f64; 3] {
+        let of = |(i, by): (&usize, &[f64; 3])| (0..3).map(|d| by[d] * at.shaped.position[d][*i]).sum::<f64>();
+        let area = self.area + self.by.iter().map(of).sum::<f64>();
+        self.normal.map(|one| area * one)
+    }
+
+    /// Adds the cotangents of places, given that of the area.
+    pub fn area_back(&self, of: [f64; 3], bar: &mut Bar) {
+        let weight = dot(self.normal, of);
+        for (i, by) in &self.by {
+            (0..3).for_each(|d| bar.position[d][*i] += weight * by[d]);
+        }
+    }
+}
+
 /// The surface around a shape.
 #[derive(Debug, Clone)]
 pub struct ControlSurface {
@@ -65,8 +94,8 @@ pub struct ControlSurface {
     faces: Vec<Face>,
     /// Points of the shape, as indices of the boundary.
     own: Vec<usize>,
-    /// What closes it on sides of the region: points of the boundary, and normal into the fluid times area, times the share.
-    pub feet: Vec<(usize, [f64; 3])>,
+    /// What closes it on sides of the region.
+    pub feet: Vec<Foot>,
     /// The particles within with their shares of the volume, where their means are needed.
     within: Vec<(usize, f64)>,
     /// Where places are measured from, along directions in which the surface is closed.
@@ -404,7 +433,7 @@ impl ControlSurface {
         }
         let needs_within = balanced != Balanced::Steady || cloud.fluid.buoyancy.is_some();
         let within = if needs_within { grid.shares(cloud, shape, particles) } else { vec![] };
-        let feet = grid.feet(cloud, shape, &edge, particles);
+        let feet = grid.feet(cloud, (shape, points), &edge, particles);
         Some(Self { faces, own: points.to_vec(), feet, within, from, own_from, balanced })
     }
 
@@ -682,11 +711,20 @@ impl Grid {
         found.into_iter().map(|(particle, share)| (particle, share / total)).collect()
     }
 
-    /// What closes surfaces around a shape on the sides that it stands on.
-    fn feet(&self, cloud: &Cloud, shape: usize, edge: &Edge, particles: &mut Particles<'_>) -> Vec<(usize, [f64; 3])> {
+    /// What closes surfaces around a shape, with points on it, on the sides that it stands on.
+    fn feet(
+        &self,
+        cloud: &Cloud,
+        (shape, points): (usize, &[usize]),
+        edge: &Edge,
+        particles: &mut Particles<'_>,
+    ) -> Vec<Foot> {
         let (region, places) = (&cloud.ground.region, &cloud.places);
-        let mut found: BTreeMap<(usize, usize), f64> = BTreeMap::new();
         let surface = &cloud.ground.surfaces[shape];
+        let own: Vec<[f64; 3]> = points.iter().map(|k| places.place[places.inside + k]).collect();
+        let to_own =
+            Nearest::new(*region, cloud.ground.dx, &own.iter().map(|p| region.wrapped(*p)).collect::<Vec<_>>());
+        let mut found: BTreeMap<(usize, usize), Foot> = BTreeMap::new();
         for side in (0..6).filter(|&side| surface.stands_on(side)) {
             let (along, [a, b], end) = (side / 2, across(side / 2), side % 2);
             let on_side = region.size[along] * end as f64;
@@ -698,6 +736,8 @@ impl Grid {
                 middle[along] = on_side;
                 let is_cut = surface.distance(region, middle).abs() < self.step[a].hypot(self.step[b]);
                 let parts = if is_cut { PARTS_CUT } else { PARTS_OF_SIDES };
+                let ways: &[(usize, usize, f64)] =
+                    if is_cut { &[(a, b, -1.0), (a, b, 1.0), (b, a, -1.0), (b, a, 1.0)] } else { &[] };
                 for line in REACHES.len() - lines..REACHES.len() {
                     let corners = [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[x, y]| {
                         let mut node = index;
@@ -713,18 +753,35 @@ impl Grid {
                         if cloud.ground.distance(p, None) <= 0.0 {
                             continue;
                         }
+                        let Some(particle) = particles.near(p, &[side]) else { continue };
                         let (s, t) = (weighted(&corners, &by_s), weighted(&corners, &by_t));
                         let area = (s[a] * t[b] - s[b] * t[a]) / (parts * parts) as f64;
-                        if let Some(particle) = particles.near(p, &[side]) {
-                            *found.entry((side, particle)).or_insert(0.0) += SHARE * area;
+                        let new = || Foot {
+                            point: particle - places.inside,
+                            normal: inward(side),
+                            area: 0.0,
+                            by: BTreeMap::new(),
+                        };
+                        let foot = found.entry((side, particle)).or_insert_with(new);
+                        foot.area += SHARE * area;
+                        // Where the shape begins beside this part of the cell, it covers more of the side when it moves that way.
+                        for &(d, other, way) in ways {
+                            let mut beside = p;
+                            beside[d] += way * self.step[d] / parts as f64;
+                            if surface.distance(region, beside) > 0.0 {
+                                continue;
+                            }
+                            let Some((_, k)) = to_own.one(region.wrapped(beside), f64::INFINITY) else { continue };
+                            let (i, length) = (places.inside + points[k], self.step[other] / parts as f64);
+                            let by = SHARE * way * length;
+                            foot.by.entry(i).or_default()[d] += by;
+                            // So that the sum is the area where nothing has moved.
+                            foot.area -= by * places.place[i][d];
                         }
                     }
                 }
             }
         }
-        let foot = |((side, particle), area): ((usize, usize), f64)| {
-            (particle - places.inside, inward(side).map(|one| area * one))
-        };
-        found.into_iter().map(foot).collect()
+        found.into_values().collect()
     }
 }

@@ -266,7 +266,7 @@ impl Measures {
     fn own_force(&self, at: &At<'_>, shape: usize, e: usize) -> f64 {
         match &self.around[shape] {
             Some(around) => {
-                let feet = around.feet.iter().map(|&(k, area)| self.push(at, k, area, e));
+                let feet = around.feet.iter().map(|foot| self.push(at, foot.point, foot.area(at), e));
                 around.force(at, e) - feet.sum::<f64>()
             }
             None => self.surface_force(at, shape, e),
@@ -277,8 +277,9 @@ impl Measures {
         match &self.around[shape] {
             Some(around) => {
                 around.force_back(at, e, weight, bar);
-                for &(k, area) in &around.feet {
-                    self.push_back(at, k, area, unit(e, -weight), bar);
+                for foot in &around.feet {
+                    let area = self.push_back(at, foot.point, foot.area(at), unit(e, -weight), bar);
+                    foot.area_back(area, bar);
                 }
             }
             None => {
@@ -294,7 +295,7 @@ impl Measures {
     fn own_heat(&self, at: &At<'_>, shape: usize) -> f64 {
         match &self.around[shape] {
             Some(around) => {
-                let feet = around.feet.iter().map(|&(k, area)| self.warmth(at, k, area));
+                let feet = around.feet.iter().map(|foot| self.warmth(at, foot.point, foot.area(at)));
                 around.heat(at) - feet.sum::<f64>()
             }
             None => self.surface_heat(at, shape),
@@ -305,8 +306,9 @@ impl Measures {
         match &self.around[shape] {
             Some(around) => {
                 around.heat_back(at, weight, bar);
-                for &(k, area) in &around.feet {
-                    self.warmth_back(at, k, area, -weight, bar);
+                for foot in &around.feet {
+                    let area = self.warmth_back(at, foot.point, foot.area(at), -weight, bar);
+                    foot.area_back(area, bar);
                 }
             }
             None => {
