@@ -576,7 +576,7 @@ fn a_box_stays_on_its_sides() {
 }
 
 /// Drag, lift and heat of a cube of four spacings on the floor of a duct beside finite elements (`scripts/standing_fem.py 16
-/// data/scenes/examples/cube.toml`; with 12 bricks a length 0.5746 and 0.1806, and with 9 a lift of -0.1053), by the closed surface around it. Sums
+/// data/scenes/examples/cube.toml`; with 12 bricks a length 0.5745, 0.1806 and a lift of -0.1046), by the closed surface around it. Sums
 /// over its points are 17 and 34 % off. Where the floor within the surface was told by its cells and not by its edge, which goes through points
 /// of the floor, the lift was 3 % off, with dx = 0.067 27 %.
 #[test]
@@ -590,7 +590,7 @@ fn a_surface_around_a_cube_tells_its_drag_and_heat() {
     let own = [around.flow.measures.surface_force(&at, 0, 0), around.flow.measures.surface_heat(&at, 0)];
     println!("{force:?} {heat}, by its points {own:?}");
     assert!((drag / 0.5764 - 1.0).abs() < 0.01 && (heat / 0.18033 - 1.0).abs() < 0.025, "{drag} {heat}");
-    assert!((force[2] / -0.105 - 1.0).abs() < 0.01 && force[1].abs() < 1e-3, "{force:?}");
+    assert!((force[2] / -0.1046 - 1.0).abs() < 0.015 && force[1].abs() < 1e-3, "{force:?}");
     assert!(own[0] < 0.9 * drag && own[1] < 0.8 * heat, "{own:?}");
 }
 
