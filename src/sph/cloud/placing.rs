@@ -168,7 +168,7 @@ impl Polygon {
     }
 }
 
-/// The shape behind a point of a side of the box, the last one if there are several. It may end up to [`BEHIND`] dx behind the side, so that
+/// The shape behind a point of a side of the box, the last one if there are several. It may end up to a quarter of a spacing behind the side, so that
 /// no rounding decides. A shape that is no farther away along the side is not behind the point but beside it: it leans there, as a fin does.
 pub fn behind(plane: &Plane, dx: f64, polygons: &[Polygon], place: [f64; 2], normal: [f64; 2]) -> Option<usize> {
     let covers = |shape: usize, out: f64, aside: f64| {
