@@ -711,6 +711,17 @@ impl Grid {
         found.into_iter().map(|(particle, share)| (particle, share / total)).collect()
     }
 
+    /// The corners of a cell on a side: nodes of the lattice, and where the edge of a surface goes through them, particles.
+    fn corners_on(&self, side: usize, index: [usize; 3], line: usize, edge: &Edge) -> [[f64; 3]; 4] {
+        let (along, [a, b]) = (side / 2, across(side / 2));
+        [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[x, y]| {
+            let mut node = index;
+            (node[along], node[a], node[b]) = (side % 2 * self.count[along], node[a] + x, node[b] + y);
+            let (place, moved) = (self.node(node), edge.get(&(line, self.wrapped(node))));
+            moved.map_or(place, |moved| std::array::from_fn(|d| place[d] + moved[d]))
+        })
+    }
+
     /// What closes surfaces around a shape, with points on it, on the sides that it stands on.
     fn feet(
         &self,
@@ -719,65 +730,53 @@ impl Grid {
         edge: &Edge,
         particles: &mut Particles<'_>,
     ) -> Vec<Foot> {
-        let (region, places) = (&cloud.ground.region, &cloud.places);
-        let surface = &cloud.ground.surfaces[shape];
-        let own: Vec<[f64; 3]> = points.iter().map(|k| places.place[places.inside + k]).collect();
-        let to_own =
-            Nearest::new(*region, cloud.ground.dx, &own.iter().map(|p| region.wrapped(*p)).collect::<Vec<_>>());
+        let (region, places, surface) = (&cloud.ground.region, &cloud.places, &cloud.ground.surfaces[shape]);
+        let sides: Vec<usize> = (0..6).filter(|&side| surface.stands_on(side)).collect();
+        if sides.is_empty() {
+            return vec![];
+        }
+        let own: Vec<[f64; 3]> = points.iter().map(|k| region.wrapped(places.place[places.inside + k])).collect();
+        let to_own = Nearest::new(*region, cloud.ground.dx, &own);
         let mut found: BTreeMap<(usize, usize), Foot> = BTreeMap::new();
-        for side in (0..6).filter(|&side| surface.stands_on(side)) {
+        for side in sides {
             let (along, [a, b], end) = (side / 2, across(side / 2), side % 2);
-            let on_side = region.size[along] * end as f64;
             for k in 0..self.count[a] * self.count[b] {
                 let mut index = [end * (self.count[along] - 1); 3];
                 (index[a], index[b]) = (k / self.count[b], k % self.count[b]);
                 let lines = self.lines(shape, self.at(index));
+                if lines == 0 {
+                    continue;
+                }
                 let mut middle = self.centre(index);
-                middle[along] = on_side;
+                middle[along] = region.size[along] * end as f64;
                 let is_cut = surface.distance(region, middle).abs() < self.step[a].hypot(self.step[b]);
                 let parts = if is_cut { PARTS_CUT } else { PARTS_OF_SIDES };
                 let ways: &[(usize, usize, f64)] =
                     if is_cut { &[(a, b, -1.0), (a, b, 1.0), (b, a, -1.0), (b, a, 1.0)] } else { &[] };
-                for line in REACHES.len() - lines..REACHES.len() {
-                    let corners = [[0, 0], [1, 0], [1, 1], [0, 1]].map(|[x, y]| {
-                        let mut node = index;
-                        (node[along], node[a], node[b]) = (end * self.count[along], node[a] + x, node[b] + y);
-                        let moved = edge.get(&(line, self.wrapped(node)));
-                        let place = self.node(node);
-                        moved.map_or(place, |moved| std::array::from_fn(|d| place[d] + moved[d]))
-                    });
-                    for sub in 0..parts * parts {
-                        let of = |k: usize| ((k % parts) as f64 + 0.5) / parts as f64;
-                        let [shares, by_s, by_t] = bilinear([of(sub), of(sub / parts)]);
-                        let p = weighted(&corners, &shares);
-                        if cloud.ground.distance(p, None) <= 0.0 {
+                let quads = (REACHES.len() - lines..REACHES.len()).map(|line| self.corners_on(side, index, line, edge));
+                for (corners, sub) in quads.flat_map(|corners| (0..parts * parts).map(move |sub| (corners, sub))) {
+                    let of = |k: usize| ((k % parts) as f64 + 0.5) / parts as f64;
+                    let [p, s, t] = bilinear([of(sub), of(sub / parts)]).map(|shares| weighted(&corners, &shares));
+                    if cloud.ground.distance(p, None) <= 0.0 {
+                        continue;
+                    }
+                    let Some(particle) = particles.near(p, &[side]) else { continue };
+                    let (point, normal) = (particle - places.inside, inward(side));
+                    let new = || Foot { point, normal, area: 0.0, by: BTreeMap::new() };
+                    let foot = found.entry((side, particle)).or_insert_with(new);
+                    foot.area += SHARE * ((s[a] * t[b] - s[b] * t[a]) / (parts * parts) as f64);
+                    // Where the shape begins beside this part of the cell, it covers more of the side when it moves that way.
+                    for &(d, other, way) in ways {
+                        let mut beside = p;
+                        beside[d] += way * self.step[d] / parts as f64;
+                        if surface.distance(region, beside) > 0.0 {
                             continue;
                         }
-                        let Some(particle) = particles.near(p, &[side]) else { continue };
-                        let (s, t) = (weighted(&corners, &by_s), weighted(&corners, &by_t));
-                        let area = (s[a] * t[b] - s[b] * t[a]) / (parts * parts) as f64;
-                        let new = || Foot {
-                            point: particle - places.inside,
-                            normal: inward(side),
-                            area: 0.0,
-                            by: BTreeMap::new(),
-                        };
-                        let foot = found.entry((side, particle)).or_insert_with(new);
-                        foot.area += SHARE * area;
-                        // Where the shape begins beside this part of the cell, it covers more of the side when it moves that way.
-                        for &(d, other, way) in ways {
-                            let mut beside = p;
-                            beside[d] += way * self.step[d] / parts as f64;
-                            if surface.distance(region, beside) > 0.0 {
-                                continue;
-                            }
-                            let Some((_, k)) = to_own.one(region.wrapped(beside), f64::INFINITY) else { continue };
-                            let (i, length) = (places.inside + points[k], self.step[other] / parts as f64);
-                            let by = SHARE * way * length;
-                            foot.by.entry(i).or_default()[d] += by;
-                            // So that the sum is the area where nothing has moved.
-                            foot.area -= by * places.place[i][d];
-                        }
+                        let Some((_, k)) = to_own.one(region.wrapped(beside), f64::INFINITY) else { continue };
+                        let (i, by) = (places.inside + points[k], SHARE * way * (self.step[other] / parts as f64));
+                        foot.by.entry(i).or_default()[d] += by;
+                        // So that the sum is the area where nothing has moved.
+                        foot.area -= by * places.place[i][d];
                     }
                 }
             }
