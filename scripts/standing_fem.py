@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Drag, lift (along z) and heat of what stands on the floor of a duct by finite elements of Taylor and Hood: a box (bricks), or a cylinder with ends
-(tetrahedra with curved faces).
+or a ball (tetrahedra with curved faces).
 
     python3 scripts/standing_fem.py 12 data/scenes/examples/cube.toml runs/optimize-cube/best.toml
 
-The first number is that of elements along a length of 1. Needs numpy, scipy, scikit-fem and pypardiso, and gmsh for cylinders (12 bricks: 85,000
+The first number is that of elements along a length of 1. Needs numpy, scipy, scikit-fem and pypardiso, and gmsh for tetrahedra (12 bricks: 85,000
 unknowns, two minutes, 3 GB). They are those that the discrete equations have at the body's points, less what the floor carries there.
 Elements are finer towards the body's edges.
 """
@@ -42,13 +42,14 @@ def bricks(size, low, high, density):
 
 
 def tetrahedra(size, centre, radius, height, density):
-    """Tetrahedra between the sides and a cylinder that stands on the floor."""
+    """Tetrahedra between the sides and a cylinder that stands on the floor, or a ball around a centre."""
     import gmsh
 
     gmsh.initialize()
     gmsh.option.setNumber("General.Verbosity", 0)
     occ, field = gmsh.model.occ, gmsh.model.mesh.field
-    occ.cut([(3, occ.addBox(0, 0, 0, *size))], [(3, occ.addCylinder(*centre, -1.0, 0, 0, 1.0 + height, radius))])
+    body = occ.addSphere(*centre, radius) if len(centre) == 3 else occ.addCylinder(*centre, -1.0, 0, 0, 1.0 + height, radius)
+    occ.cut([(3, occ.addBox(0, 0, 0, *size))], [(3, body)])
     occ.synchronize()
     on_body = lambda box: all(abs(0.5 * (box[d] + box[d + 3]) - centre[d]) < 1e-3 and box[d + 3] - box[d] < 2.1 * radius for d in (0, 1))
     edges = [tag for _, tag in gmsh.model.getEntities(1) if on_body(gmsh.model.getBoundingBox(1, tag))]
@@ -83,9 +84,12 @@ def solve(scene, density):
         mesh, quadratic, linear = bricks(size, low, high, density), ElementHex2(), ElementHex1()
         near = lambda x: np.all([(x[d] > low[d] - 1e-9) & (x[d] < high[d] + 1e-9) for d in range(3)], axis=0)
     else:
-        centre, radius, height = body["centre"][:2], body["radius"], body["ends"][1]
+        is_ball, radius = body["kind"] != "cylinder", body["radius"]
+        centre = body["centre"][: 3 if is_ball else 2]
+        height = centre[2] + radius if is_ball else body["ends"][1]
         mesh, quadratic, linear = tetrahedra(size, centre, radius, height, density), ElementTetP2(), ElementTetP1()
-        near = lambda x: (np.hypot(x[0] - centre[0], x[1] - centre[1]) < 1.01 * radius) & (x[2] < height + 1e-6)
+        away = lambda x: np.sqrt(sum((x[d] - centre[d]) ** 2 for d in range(len(centre))))
+        near = lambda x: (away(x) < 1.01 * radius) & (x[2] < height + 1e-6)
     velocity = Basis(mesh, ElementVector(quadratic), intorder=4)
     pressure, heat = Basis(mesh, linear, intorder=4), Basis(mesh, quadratic, intorder=4)
     nu, alpha = fluid["viscosity"], fluid["conductivity"]

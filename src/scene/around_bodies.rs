@@ -109,7 +109,8 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
         Kind::Disc => {
             let mut all = vector(Part::Centre, &entry.centre);
             all.push((Part::Radius, entry.radius?));
-            Some(whole(Form::Ball, all))
+            let numbers: Vec<f64> = all.iter().map(|(_, x)| *x).collect();
+            Some(whole(Form::Ball(Standing::of_ball(region, &numbers)), all))
         }
         Kind::Box => {
             let all = [vector(Part::Lower, &entry.lower), vector(Part::Upper, &entry.upper)].concat();
@@ -133,12 +134,14 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
 }
 
 /// The surface of a checked shape whose triangles are in a file.
-fn of_triangles(entry: &ShapeEntry, key: &str, file: &str) -> Result<Surface, BadInput> {
+fn of_triangles(entry: &ShapeEntry, key: &str, file: &str, region: &Region<3>) -> Result<Surface, BadInput> {
     let triangles = stl::read(Path::new(file)).map_err(|error| BadInput::at(key, error.to_string()))?;
     let centre = entry.centre.iter().flatten().enumerate().map(|(d, x)| (Part::Centre(d), *x));
     let own = [(Part::Scale, entry.scale.unwrap_or(1.0)), (Part::Angle, entry.angle.unwrap_or(0.0))];
     let all: Vec<(Part, f64)> = centre.chain(own).collect();
-    Ok(with_parameters(entry, Form::Facets(Box::new(Facets::new(triangles))), all))
+    let (facets, numbers): (Facets, Vec<f64>) = (Facets::new(triangles), all.iter().map(|(_, x)| *x).collect());
+    let standing = Standing::of_facets(region, &facets, &numbers);
+    Ok(with_parameters(entry, Form::Facets(Box::new(facets), standing), all))
 }
 
 /// A surface with its own numbers and those of the formulas on it.
@@ -165,7 +168,7 @@ impl AroundBodies {
         let mut surfaces = vec![];
         for (k, entry) in config.shapes.iter().enumerate() {
             surfaces.extend(match (entry.kind, &entry.file) {
-                (Kind::File, Some(file)) => Some(of_triangles(entry, &format!("shapes[{k}].file"), file)?),
+                (Kind::File, Some(file)) => Some(of_triangles(entry, &format!("shapes[{k}].file"), file, &region)?),
                 _ => surface(entry, &region, ROUNDED * spacing),
             });
         }
@@ -177,6 +180,33 @@ impl AroundBodies {
             )
             .allowed("outlines that are; any shape that goes through the whole box, without ends")
             .into());
+        }
+        if let Some(shape) = surfaces.iter().position(Surface::is_ball_in_edge) {
+            return Err(BadInput::at(
+                format!("shapes[{shape}]"),
+                format!("shapes[{shape}] is a ball that goes through sides of the region which are not opposite"),
+            )
+            .allowed("balls through one side, or two opposite ones; any others as triangles, with kind = \"file\"")
+            .into());
+        }
+        for (k, number) in config.shape_numbers().iter().enumerate() {
+            let surface = surfaces.get(number.shape);
+            let is_held = |d: usize| surface.is_some_and(|surface| surface.is_held_along(d));
+            let is_behind = match number.part {
+                Part::Centre(d) => is_held(d),
+                Part::Angle => is_held(0) || is_held(1),
+                Part::Scale => (0..3).any(is_held),
+                _ => false,
+            };
+            if is_behind {
+                let key = format!("variables[{k}].number");
+                return Err(BadInput::at(
+                    &key,
+                    format!("{key} = \"{number}\" moves what of the shape is behind the sides that it stands on"),
+                )
+                .allowed("of shapes from files that stand on sides: the centre along these, and the angle around z if the sides are across z")
+                .into());
+            }
         }
         let read = config.wall_formula();
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 3, read));

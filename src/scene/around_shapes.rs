@@ -498,7 +498,7 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
             },
         )
         .allowed(
-            "shapes in the region that are at least a spacing apart; boxes may stand on its sides and reach through them, cylinders and extruded shapes along their axis",
+            "shapes in the region that are at least a spacing apart; they may stand on its sides and reach through them, cylinders and extruded shapes along their axis",
         ),
         Unusable::Placing(Unplaceable::Narrow { shape, width: 0.0 }) => BadInput::at(
             format!("shapes[{shape}]"),

@@ -5,7 +5,8 @@
 //! sum of all, weighted by their angles there (Baerentzen and Aanaes 2005).
 //!
 //! Edges along which normals turn by more than `SHARP` divide the surface into patches. Points are spread on each patch alone, so that
-//! those beside a sharp edge are half a spacing from it and have the normal of their side, as on a box.
+//! those beside a sharp edge are half a spacing from it and have the normal of their side, as on a box. Where a surface goes through sides of
+//! the region, its triangles are cut there, and points are spread on what is left.
 
 use super::super::nearest::{Nearest, Region};
 use super::super::placing::Growing;
@@ -31,6 +32,36 @@ pub struct Facet {
     pub place: [f64; 3],
     /// Normal times area.
     pub area: [f64; 3],
+}
+
+/// Places x with normal . x >= at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HalfSpace {
+    pub normal: [f64; 3],
+    pub at: f64,
+}
+
+impl HalfSpace {
+    /// How far a place is in it.
+    fn depth(&self, p: [f64; 3]) -> f64 {
+        dot(self.normal, p) - self.at
+    }
+
+    /// What of a convex polygon is in it (Sutherland and Hodgman 1974).
+    fn part_of(&self, polygon: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let mut kept = vec![];
+        for (k, &p) in polygon.iter().enumerate() {
+            let q = polygon[(k + 1) % polygon.len()];
+            let (of_p, of_q) = (self.depth(p), self.depth(q));
+            if of_p >= 0.0 {
+                kept.push(p);
+            }
+            if (of_p >= 0.0) != (of_q >= 0.0) {
+                kept.push(plus(p, times(minus(q, p), of_p / (of_p - of_q))));
+            }
+        }
+        kept
+    }
 }
 
 #[derive(Debug)]
@@ -73,6 +104,12 @@ fn times(a: [f64; 3], x: f64) -> [f64; 3] {
 
 fn length(a: [f64; 3]) -> f64 {
     dot(a, a).sqrt()
+}
+
+/// The lower and the upper corner of the box around some places.
+fn corners(all: impl Iterator<Item = [f64; 3]> + Clone) -> [[f64; 3]; 2] {
+    let end = |of: fn(f64, f64) -> f64, d: usize| all.clone().map(|v| v[d]).reduce(of).unwrap_or(0.0);
+    [std::array::from_fn(|d| end(f64::min, d)), std::array::from_fn(|d| end(f64::max, d))]
 }
 
 /// What of a triangle is nearest.
@@ -167,9 +204,7 @@ impl Facets {
             }
             patches += 1;
         }
-        let end = |of: fn(f64, f64) -> f64, d: usize| mesh.vertices.iter().map(|v| v[d]).reduce(of).unwrap_or(0.0);
-        let (low, high): ([f64; 3], [f64; 3]) =
-            (std::array::from_fn(|d| end(f64::min, d)), std::array::from_fn(|d| end(f64::max, d)));
+        let [low, high] = corners(mesh.vertices.iter().copied());
         let half_width = (0..3).map(|d| 0.5 * (high[d] - low[d])).fold(f64::MAX, f64::min);
         let order = (0..count).collect();
         let mut all = Self {
@@ -258,33 +293,47 @@ impl Facets {
         length(r).copysign(dot(r, outwards))
     }
 
-    /// Points about `spacing` apart where the surface is moved outwards by a distance; their places are those on the surface itself.
-    pub fn spread(&self, spacing: f64, distance: f64) -> Vec<Facet> {
+    /// The lower and the upper corner of the surface, turned.
+    pub fn corners(&self, turned: impl Fn([f64; 3]) -> [f64; 3]) -> [[f64; 3]; 2] {
+        corners(self.mesh.vertices.iter().map(|v| turned(*v)))
+    }
+
+    /// Points about `spacing` apart where the surface is moved outwards by a distance, and is then within all of some half spaces; their
+    /// places are those on the surface itself.
+    pub fn spread(&self, spacing: f64, distance: f64, within: &[HalfSpace]) -> Vec<Facet> {
         let patches = self.patch.iter().max().map_or(0, |last| last + 1);
         // Place, area and place moved outwards of samples, by patch.
         let mut samples: Vec<Vec<(Facet, [f64; 3])>> = vec![vec![]; patches];
         for (k, &patch) in self.patch.iter().enumerate() {
-            let [a, b, c] = self.mesh.corners(k);
-            let longest = [minus(b, a), minus(c, b), minus(a, c)].map(length).into_iter().fold(0.0, f64::max);
-            let n = ((longest / (SAMPLE * spacing)).ceil() as usize).clamp(1, MOST);
-            let area = times(self.mesh.area(k), 1.0 / (n * n) as f64);
-            let share = 1.0 / (3 * n) as f64;
-            let mut add = |i: usize, j: usize, up: usize| {
-                // The middle of the small triangle at (i, j), which points up or down.
-                let (u, v) = ((3 * i + up) as f64 * share, (3 * j + up) as f64 * share);
-                let place = plus(a, plus(times(minus(b, a), u), times(minus(c, a), v)));
-                samples[patch].push((Facet { place, area }, plus(place, times(self.normal[k], distance))));
-            };
-            for i in 0..n {
-                for j in 0..n - i {
-                    add(i, j, 1);
-                    if i + j + 1 < n {
-                        add(i, j, 2);
+            let (normal, mut rest) = (self.normal[k], self.mesh.corners(k).to_vec());
+            for half in within {
+                let at = half.at - distance * dot(half.normal, normal);
+                rest = HalfSpace { at, ..*half }.part_of(&rest);
+            }
+            for corner in 2..rest.len() {
+                let [a, b, c] = [rest[0], rest[corner - 1], rest[corner]];
+                let longest = [minus(b, a), minus(c, b), minus(a, c)].map(length).into_iter().fold(0.0, f64::max);
+                let n = ((longest / (SAMPLE * spacing)).ceil() as usize).clamp(1, MOST);
+                let area = times(times(cross(minus(b, a), minus(c, a)), 0.5), 1.0 / (n * n) as f64);
+                let share = 1.0 / (3 * n) as f64;
+                let mut add = |i: usize, j: usize, up: usize| {
+                    // The middle of the small triangle at (i, j), which points up or down.
+                    let (u, v) = ((3 * i + up) as f64 * share, (3 * j + up) as f64 * share);
+                    let place = plus(a, plus(times(minus(b, a), u), times(minus(c, a), v)));
+                    samples[patch].push((Facet { place, area }, plus(place, times(normal, distance))));
+                };
+                for i in 0..n {
+                    for j in 0..n - i {
+                        add(i, j, 1);
+                        if i + j + 1 < n {
+                            add(i, j, 2);
+                        }
                     }
                 }
             }
         }
-        samples.iter().flat_map(|samples| self.spread_on(samples, spacing, distance)).collect()
+        let is_there = |samples: &&Vec<(Facet, [f64; 3])>| !samples.is_empty();
+        samples.iter().filter(is_there).flat_map(|samples| self.spread_on(samples, spacing, distance)).collect()
     }
 
     /// The points of a patch, given its samples.

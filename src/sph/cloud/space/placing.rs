@@ -101,7 +101,7 @@ impl Ground {
         let Self { region, dx, surface: h0, .. } = self;
         let (region, dx, h0) = (*region, *dx, *h0);
         for (shape, surface) in self.surfaces.iter().enumerate() {
-            if surface.size() <= 0.0 {
+            if surface.size() <= 0.0 || surface.is_larger(&region) {
                 return Err(Unplaceable::Narrow { shape, width: 0.0 });
             }
             if surface.size() < h0 {
@@ -111,14 +111,15 @@ impl Ground {
         // A few points tell that a shape (other than a box) is larger than the region, such as one in other units, which would have any number
         // of points.
         for (shape, surface) in self.surfaces.iter().enumerate() {
-            let few = surface.spread(h0.max(surface.size()), 0.0);
+            let few = surface.spread(&region, h0.max(surface.size()), 0.0);
             let places: Vec<[f64; 3]> = few.iter().map(|spot| surface.at(spot, &surface.numbers).place).collect();
             let extent = |d: usize| {
                 let bounds = |[low, high]: [f64; 2], p: &[f64; 3]| [low.min(p[d]), high.max(p[d])];
                 let [low, high] = places.iter().fold([f64::INFINITY, f64::NEG_INFINITY], bounds);
                 high - low
             };
-            if places.iter().any(|p| !self.is_in_box(*p, 0.0)) || (0..3).any(|d| extent(d) > region.size[d]) {
+            let is_out = places.is_empty() || places.iter().any(|p| !self.is_in_box(*p, 0.0));
+            if is_out || (0..3).any(|d| extent(d) > region.size[d]) {
                 return Err(Unplaceable::Narrow { shape, width: 0.0 });
             }
         }
@@ -129,7 +130,7 @@ impl Ground {
         let mut cells = Growing::new(region, dx);
         for (shape, surface) in self.surfaces.iter().enumerate() {
             let mut width = f64::INFINITY;
-            for spot in surface.spread(h0, 0.0) {
+            for spot in surface.spread(&region, h0, 0.0) {
                 let on = surface.at(&spot, &surface.numbers);
                 let is_out = !self.is_in_box(on.place, 0.0);
                 width = width.min(if is_out { 0.0 } else { self.distance(on.place, Some(shape)).max(0.0) });
@@ -150,7 +151,7 @@ impl Ground {
         for (shape, surface) in self.surfaces.iter().enumerate() {
             for &distance in &layers {
                 let h = self.spacing(distance);
-                for spot in surface.spread(h, distance) {
+                for spot in surface.spread(&region, h, distance) {
                     let on = surface.at(&spot, &surface.numbers);
                     let length = on.area.iter().map(|x| x * x).sum::<f64>().sqrt();
                     let p = region.wrapped(std::array::from_fn(|d| on.place[d] + distance * on.area[d] / length));

@@ -7,7 +7,7 @@
 use super::super::nearest::{Nearest, Plane, Region};
 use super::super::outline::{cross, OnOutline, Outline, Scalar};
 use super::super::placing::{lengths, spread, Polygon};
-use super::facets::{Facet, Facets};
+use super::facets::{Facet, Facets, HalfSpace};
 use crate::config::custom::Part;
 use std::f64::consts::PI;
 
@@ -16,6 +16,9 @@ use std::f64::consts::PI;
 pub enum Spot {
     /// A direction from the centre of a ball, and a solid angle.
     Direction([f64; 3], f64),
+    /// Of a ball that stands on sides: share of the way between its ends along the axis across these, angle around that axis, and share of the
+    /// area, which is as large between any two heights of the same difference (Archimedes).
+    Zone { at: f64, around: f64, share: f64 },
     /// A face of a box: its direction and end (0 low, 1 high), shares of the other two edges, share of the face's area.
     Face { along: usize, end: usize, at: [f64; 2], share: f64 },
     /// Parameter of an outline and its change, place along the axis and length there as shares of the column's.
@@ -49,36 +52,63 @@ pub struct Column {
     plane: Plane,
 }
 
-/// What sides of the region a box or column stands on: faces that are in these or behind them are not there, and the others end at the sides.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The length of the region times this is nothing. (Files have seven digits.)
+const NOTHING: f64 = 1e-9;
+const NOTHING_OF_FILES: f64 = 1e-6;
+
+/// What sides of the region a shape stands on: what of it is in these or behind them is not there, and the rest ends at the sides.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Standing {
-    /// The places of sides on which its low and high faces would be.
+    /// The places of sides on which its low and high ends would be.
     sides: [[Option<f64>; 2]; 3],
 }
 
 impl Standing {
+    /// For the numbers of a ball.
+    pub fn of_ball(region: &Region<3>, numbers: &[f64]) -> Self {
+        let ends = |d: usize| [numbers[d] - numbers[3], numbers[d] + numbers[3]];
+        Self { sides: std::array::from_fn(|d| Self::along(region, d, ends(d), NOTHING)) }
+    }
+
+    /// For triangles and the numbers of their place.
+    pub fn of_facets(region: &Region<3>, facets: &Facets, numbers: &[f64]) -> Self {
+        let [low, high] = facets_corners(facets, numbers);
+        Self { sides: std::array::from_fn(|d| Self::along(region, d, [low[d], high[d]], NOTHING_OF_FILES)) }
+    }
+
     /// For the numbers of a box.
     pub fn of_box(region: &Region<3>, numbers: &[f64]) -> Self {
-        Self { sides: std::array::from_fn(|d| Self::along(region, d, [numbers[d], numbers[3 + d]])) }
+        Self { sides: std::array::from_fn(|d| Self::along(region, d, [numbers[d], numbers[3 + d]], NOTHING)) }
     }
 
     /// For a column between two ends along an axis.
     fn of_column(region: &Region<3>, axis: usize, ends: [f64; 2]) -> Self {
         let mut sides = [[None; 2]; 3];
-        sides[axis] = Self::along(region, axis, ends);
+        sides[axis] = Self::along(region, axis, ends, NOTHING);
         Self { sides }
     }
 
     /// The sides on which something with these ends stands.
-    fn along(region: &Region<3>, d: usize, [low, high]: [f64; 2]) -> [Option<f64>; 2] {
+    fn along(region: &Region<3>, d: usize, [low, high]: [f64; 2], nothing: f64) -> [Option<f64>; 2] {
         let size = region.size[d];
-        let near = 1e-9 * size;
+        let near = nothing * size;
         [(low <= near).then_some(0.0), (high >= size - near).then_some(size)]
             .map(|side| side.filter(|_| !region.periodic[d]))
     }
 
     fn stands(&self, d: usize, end: usize) -> bool {
         self.sides[d][end].is_some()
+    }
+
+    /// The directions across sides that it stands on.
+    pub fn axes(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..3).filter(|&d| self.sides[d] != [None, None])
+    }
+
+    /// The sides: direction, place, and 1 if the region is above, or -1.
+    fn each(&self) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        let of = |k: usize| Some((k / 2, self.sides[k / 2][k % 2]?, if k.is_multiple_of(2) { 1.0 } else { -1.0 }));
+        (0..6).filter_map(of)
     }
 
     /// The lower and the upper corner of what is in the region.
@@ -105,12 +135,12 @@ impl Standing {
 #[derive(Debug)]
 pub enum Form {
     /// Numbers: centre, radius.
-    Ball,
+    Ball(Standing),
     /// Numbers: lower and upper corner.
     Box(Standing),
     Column(Box<Column>),
     /// Numbers: centre, scale, degrees around the axis along z through the centre.
-    Facets(Box<Facets>),
+    Facets(Box<Facets>, Standing),
 }
 
 /// The surface of a shape.
@@ -138,6 +168,11 @@ fn turned<S: Scalar>(r: [S; 3], degrees: S) -> [S; 3] {
     let angle = degrees * S::of(PI / 180.0);
     let (sin, cos) = (angle.sin(), angle.cos());
     [cos * r[0] - sin * r[1], sin * r[0] + cos * r[1], r[2]]
+}
+
+/// The lower and the upper corner of triangles, for the numbers of their place.
+fn facets_corners(facets: &Facets, s: &[f64]) -> [[f64; 3]; 2] {
+    facets.corners(|p| turned(p, s[4])).map(|corner| std::array::from_fn(|d| s[d] + s[3] * corner[d]))
 }
 
 /// About evenly spaced directions (a Fibonacci lattice on the sphere; Gonzalez 2010).
@@ -170,6 +205,12 @@ pub fn from_all(distances: &[f64]) -> f64 {
 fn in_row(k: usize, round: Vec<(f64, f64, f64)>) -> impl Iterator<Item = (f64, f64)> {
     let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
     round.into_iter().map(move |(t, dt, _)| ((t + shift * dt).rem_euclid(1.0), dt))
+}
+
+/// The heights of the lowest and the highest point of a ball along a direction, or those of sides on which it stands.
+fn ball_ends<S: Scalar>(standing: &Standing, d: usize, s: &[S]) -> [S; 2] {
+    let of = |end: usize, own: S| standing.sides[d][end].map_or(own, S::of);
+    [of(0, s[d] - s[3]), of(1, s[d] + s[3])]
 }
 
 /// The area that a line from a centre to a point of an outline sweeps twice, by the parameter.
@@ -262,10 +303,33 @@ impl Surface {
         !has_ends || outline.points(&outline.samples(32), &outline.numbers).iter().all(sees)
     }
 
-    /// The least of its own lengths: radius, half of an edge.
+    /// The directions along which a surface that stands on sides may not move, since what is behind these would become its surface.
+    pub fn is_held_along(&self, d: usize) -> bool {
+        matches!(&self.form, Form::Facets(_, standing) if standing.axes().any(|axis| axis == d))
+    }
+
+    /// Whether the surface is a ball's that stands on sides which are not opposite.
+    pub fn is_ball_in_edge(&self) -> bool {
+        matches!(&self.form, Form::Ball(standing) if standing.axes().count() > 1)
+    }
+
+    /// Whether a surface of triangles is larger than the region along all directions, such as one in other units.
+    pub fn is_larger(&self, region: &Region<3>) -> bool {
+        let Form::Facets(facets, _) = &self.form else { return false };
+        let [low, high] = facets_corners(facets, &self.numbers);
+        (0..3).all(|d| high[d] - low[d] > region.size[d])
+    }
+
+    /// The least of its own lengths: radius, half of an edge; a part that stands on a side as if mirrored by it.
     pub fn size(&self) -> f64 {
         match &self.form {
-            Form::Ball => self.numbers[3],
+            Form::Ball(standing) => {
+                let length = |d: usize| {
+                    let [low, high] = ball_ends(standing, d, &self.numbers);
+                    (high - low) * standing.half(d)
+                };
+                standing.axes().map(length).fold(self.numbers[3], f64::min)
+            }
             Form::Box(standing) => {
                 let corners = standing.corners(&self.numbers);
                 (0..3).map(|d| (corners[3 + d] - corners[d]) * standing.half(d)).fold(f64::MAX, f64::min)
@@ -275,14 +339,21 @@ impl Surface {
                 let along = if column.has_ends { (high - low) * half } else { f64::INFINITY };
                 (0.5 * column.polygon.area()).sqrt().min(along)
             }
-            Form::Facets(facets) => self.numbers[3] * facets.half_width,
+            Form::Facets(facets, standing) => {
+                let [low, high] = facets_corners(facets, &self.numbers);
+                let length = |d: usize| {
+                    let [of_low, of_high] = standing.sides[d];
+                    (of_high.unwrap_or(high[d]) - of_low.unwrap_or(low[d])) * standing.half(d)
+                };
+                standing.axes().map(length).fold(self.numbers[3] * facets.half_width, f64::min)
+            }
         }
     }
 
     /// The distance of a place from the surface, negative inside.
     pub fn distance(&self, region: &Region<3>, p: [f64; 3]) -> f64 {
         match &self.form {
-            Form::Ball => region.distance([self.numbers[0], self.numbers[1], self.numbers[2]], p) - self.numbers[3],
+            Form::Ball(_) => region.distance([self.numbers[0], self.numbers[1], self.numbers[2]], p) - self.numbers[3],
             Form::Box(_) => {
                 let half: [f64; 3] = std::array::from_fn(|d| 0.5 * (self.numbers[3 + d] - self.numbers[d]));
                 let r = region.between(std::array::from_fn(|d| self.numbers[d] + half[d]), p);
@@ -302,7 +373,13 @@ impl Surface {
                 middle[*axis] = low + half;
                 from_all(&[distance, region.between(middle, p)[*axis].abs() - half])
             }
-            Form::Facets(facets) => {
+            Form::Facets(facets, standing) => {
+                // A face that is in a side belongs to the side, and what is there is behind it.
+                let mut p = p;
+                for (d, side, way) in standing.each() {
+                    let least = side + 2.0 * way * NOTHING_OF_FILES * region.size[d];
+                    p[d] = if way > 0.0 { p[d].max(least) } else { p[d].min(least) };
+                }
                 let r = region.between([self.numbers[0], self.numbers[1], self.numbers[2]], p);
                 let scale = self.numbers[3];
                 let back = turned(r, -self.numbers[4]);
@@ -312,9 +389,12 @@ impl Surface {
     }
 
     /// Spots about `spacing` apart on the surface at a distance from this one.
-    pub fn spread(&self, spacing: f64, distance: f64) -> Vec<Spot> {
+    pub fn spread(&self, region: &Region<3>, spacing: f64, distance: f64) -> Vec<Spot> {
         match &self.form {
-            Form::Ball => {
+            Form::Ball(standing) => {
+                if let Some(axis) = standing.axes().next() {
+                    return self.rings(standing, axis, spacing, distance);
+                }
                 let r = self.numbers[3] + distance;
                 // A point of a hexagonal lattice takes sqrt(3) / 2 of its spacing squared.
                 let count = (4.0 * PI * r * r / (0.9 * spacing * spacing)).ceil().max(20.0) as usize;
@@ -342,18 +422,56 @@ impl Surface {
                 spots.extend((0..2).filter(is_there).flat_map(|end| column.on_end(end, spacing)));
                 spots
             }
-            Form::Facets(facets) => {
-                let scale = self.numbers[3];
-                facets.spread(spacing / scale, distance / scale).into_iter().map(Spot::Facet).collect()
+            Form::Facets(facets, standing) => {
+                let (s, scale) = (&self.numbers, self.numbers[3]);
+                let half_space = |(d, side, way): (usize, f64, f64)| {
+                    let mut across = [0.0; 3];
+                    across[d] = way;
+                    // Layers at a distance from the surface begin one spacing from the side.
+                    let aside = if distance > 0.0 { 0.5 * spacing } else { NOTHING_OF_FILES * region.size[d] };
+                    HalfSpace { normal: turned(across, -s[4]), at: (way * (side - s[d]) + aside) / scale }
+                };
+                let within: Vec<HalfSpace> = standing.each().map(half_space).collect();
+                facets.spread(spacing / scale, distance / scale, &within).into_iter().map(Spot::Facet).collect()
             }
         }
+    }
+
+    /// Spots in rings about `spacing` apart around the axis of a ball that stands on sides across it, at a distance from the ball.
+    fn rings(&self, standing: &Standing, axis: usize, spacing: f64, distance: f64) -> Vec<Spot> {
+        let (centre, r) = (self.numbers[axis], self.numbers[3] + distance);
+        // Angles from its lowest point.
+        let end = |end: usize| standing.sides[axis][end].map_or(PI * end as f64, |side| ((centre - side) / r).acos());
+        let (first, all) = (end(0), end(1) - end(0));
+        let (rows, step) = standing.rows(axis, all * r, spacing, distance > 0.0);
+        let ring = |(k, at): (usize, f64)| {
+            let angle = first + all * at;
+            let (sin, cos) = angle.sin_cos();
+            let half = 0.5 * all * step;
+            let [low, high] = ball_ends(standing, axis, &self.numbers);
+            let height = |angle: f64| (centre - r * angle.cos() - low) / (high - low);
+            let (below, above) = (height(angle - half), height(angle + half));
+            let count = (2.0 * PI * r * sin / spacing).round().max(3.0);
+            let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
+            (0..count as usize).map(move |k| {
+                let around = 2.0 * PI * (k as f64 + shift) / count;
+                if distance > 0.0 {
+                    let [a, b] = across(axis);
+                    let mut direction = [-cos; 3];
+                    (direction[a], direction[b]) = (sin * around.cos(), sin * around.sin());
+                    return Spot::Direction(direction, 1.0);
+                }
+                Spot::Zone { at: 0.5 * (below + above), around, share: (above - below) / count }
+            })
+        };
+        rows.into_iter().enumerate().flat_map(ring).collect()
     }
 
     /// The x and y of the shape's centre, for numbers of the shape: those among them, the middle of a box, or the centroid of a column's
     /// section (along its axis the middle of what is in the region).
     pub fn centre<S: Scalar>(&self, s: &[S]) -> [S; 2] {
         match &self.form {
-            Form::Ball | Form::Facets(_) => [s[0], s[1]],
+            Form::Ball(_) | Form::Facets(..) => [s[0], s[1]],
             Form::Box(_) => [0, 1].map(|d| S::of(0.5) * (s[d] + s[3 + d])),
             Form::Column(column) => {
                 let (across, section) = (across(column.axis), column.outline.centre(s));
@@ -372,6 +490,16 @@ impl Surface {
                 let r = s[3];
                 let place = std::array::from_fn(|d| s[d] + r * S::of(n[d]));
                 OnSurface { place, area: std::array::from_fn(|d| r * r * S::of(share * n[d])) }
+            }
+            (Spot::Zone { at, around, share }, Form::Ball(standing)) => {
+                let axis = standing.axes().next().unwrap_or(2);
+                let ([a, b], [low, high], r) = (across(axis), ball_ends(standing, axis, s), s[3]);
+                let height = low + (high - low) * S::of(at) - s[axis];
+                let out = (r * r - height * height).sqrt();
+                let mut away = [height; 3];
+                (away[a], away[b]) = (out * S::of(around.cos()), out * S::of(around.sin()));
+                let share = (high - low) * S::of(2.0 * PI * share);
+                OnSurface { place: std::array::from_fn(|d| s[d] + away[d]), area: away.map(|x| share * x) }
             }
             (Spot::Face { along, end, at, share }, Form::Box(standing)) => {
                 let (s, [a, b]) = (standing.corners(s), across(along));
@@ -416,8 +544,8 @@ impl Surface {
                     area: area.map(|a| scale * scale * a),
                 }
             }
-            // Columns' spots are on columns, and boxes' on boxes.
-            (Spot::Column { .. } | Spot::End { .. } | Spot::Face { .. }, _) => {
+            // Columns' spots are on columns, boxes' on boxes, and zones on balls.
+            (Spot::Column { .. } | Spot::End { .. } | Spot::Face { .. } | Spot::Zone { .. }, _) => {
                 OnSurface { place: [zero; 3], area: [zero; 3] }
             }
         }
@@ -427,8 +555,7 @@ impl Surface {
     fn standing(&self) -> Standing {
         match &self.form {
             Form::Column(column) => column.standing,
-            Form::Box(standing) => *standing,
-            Form::Ball | Form::Facets(_) => Standing { sides: [[None; 2]; 3] },
+            Form::Box(standing) | Form::Ball(standing) | Form::Facets(_, standing) => *standing,
         }
     }
 
@@ -460,7 +587,8 @@ impl Surface {
         match &self.form {
             Form::Box(own) => *own != Standing::of_box(region, numbers),
             Form::Column(column) => column.standing != Standing::of_column(region, column.axis, column.all(numbers)),
-            Form::Ball | Form::Facets(_) => false,
+            Form::Ball(own) => *own != Standing::of_ball(region, numbers),
+            Form::Facets(facets, own) => *own != Standing::of_facets(region, facets, numbers),
         }
     }
 }
