@@ -3,9 +3,9 @@
 use crate::support::program::{hydrograd, succeeds};
 use hydrograd::config::scene::Config;
 use hydrograd::design::diagnostics::sampling;
-use hydrograd::numerics::grid_convergence::{at_finest, observed_order, Point};
+use hydrograd::numerics::grid_convergence::{error_at, observed_order, Point};
 use hydrograd::numerics::random::{stream, Normal};
-use hydrograd::scene::figure_error::{errors, figures};
+use hydrograd::scene::figure_error::{errors, figures, is_told_alone};
 use hydrograd::scene::record::Record;
 use serde_json::{json, Value};
 use std::path::Path;
@@ -20,11 +20,11 @@ fn the_error_of_a_power_of_the_spacing_is_found_with_its_factor_of_safety() {
     for order in [1.0, 1.5, 2.0, 4.0] {
         let [fine, middle, coarse] = [0.1, 0.125, 0.2].map(|spacing| point(spacing, order));
         let truth = fine.value - 2.0;
-        let found = at_finest(fine, &[middle, coarse], order).unwrap();
+        let found = error_at(fine, &[middle, coarse], order).unwrap();
         assert!((found / truth - 1.25).abs() < 1e-12, "order {order}: {found} of {truth}");
         assert!((observed_order(fine, &[coarse, middle]).unwrap() - order).abs() < 1e-9);
     }
-    assert_eq!(at_finest(point(0.1, 1.0), &[], 1.0), None);
+    assert_eq!(error_at(point(0.1, 1.0), &[], 1.0), None);
     // Values on both sides have no order.
     let at = |spacing, value| Point { spacing, value };
     assert_eq!(observed_order(at(1.0, 0.0), &[at(1.25, 1.0), at(2.0, -1.0)]), None);
@@ -100,6 +100,15 @@ fn figures_are_compared_with_those_that_are_told_alike() {
         );
     }
     assert_eq!(error(["surface", "balance"], "pressure_drop"), error(["surface", "surface"], "pressure_drop"));
+    // A finer spacing that tells it alike says more than coarser ones that do not.
+    let own = record("surface", 2.0, 0.9);
+    let mut others = vec![(0.025, record("balance", 2.5, 1.0)), (0.04, record("balance", 3.0, 1.5))];
+    assert!(is_told_alone(&own, &others) && is_told_alone(&own, &[]));
+    others.push((0.016, record("surface", 2.01, 0.8)));
+    assert!(!is_told_alone(&own, &others));
+    let found = errors(&config, &own, &others);
+    let force = found.iter().find(|one| one.name == "shapes[0].force[0]").unwrap();
+    assert!((force.error - 3.0 * 0.01 / 0.36).abs() < 1e-12, "{force:?}");
 }
 
 /// The ends of the hot section make an error with fixed particles that spacings which agree do not show.

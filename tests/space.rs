@@ -456,6 +456,7 @@ fn scenes_are_refused_by_name() {
         (format!("resolution.far = 2.0\n{middle}"), "resolution.far"),
         (ball("[0.5, 0.2]", 0.1), "shapes[0].centre"),
         (ball("[0.5, 0.2, 0.2]", 0.21), "shapes[0] is a ball that goes through sides"),
+        (ball("[0.5, 0.2, 0.12]", 0.115), "from another shape or a side of the region"),
         (ball("[0.5, 0.2, 0.2]", 0.01), "too thin"),
         (format!("{middle}{}", ball("[0.6, 0.2, 0.2]", 0.1)), "cuts another shape"),
         (
@@ -575,7 +576,7 @@ fn a_box_stays_on_its_sides() {
     let behind = on_the_floor("", 0.8, "16*y*(1-y)*z*(0.8-z)", [-0.4, -0.1], "");
     let error = AroundBodies::new(&loaded(&behind)).err().map(|error| error.to_string()).unwrap_or_default();
     assert!(
-        error.contains("is not in it") && error.contains("they may stand on its sides and reach through them"),
+        error.contains("is not in it") && error.contains("they may stand on sides and reach through them"),
         "{error}"
     );
 }
@@ -750,7 +751,7 @@ fn a_ball_on_a_side_is_cut_there() {
 }
 
 /// Drag, lift and heat of domes of five spacings on the floor of a duct beside finite elements (`scripts/standing_fem.py 12` with these scenes), half
-/// of a ball, and more or less of it; and their derivatives by the ball's height and radius beside differences.
+/// of a ball, and more or less of it; and the derivatives of one by its height and radius beside differences.
 #[test]
 fn a_dome_on_the_floor_has_the_forces_and_heat_of_finite_elements() {
     for (height, radius, drag, lift, heat) in [
@@ -771,6 +772,10 @@ fn a_dome_on_the_floor_has_the_forces_and_heat_of_finite_elements() {
         let off = |k: usize, known: f64| (found[k] - known).abs() / known.abs();
         // Drags of domes are small beside what the floor below them would have.
         assert!(off(0, drag) < 0.06 && off(1, lift) < 0.025 && off(2, heat) < 0.06, "{height}: {found:?}");
+        // One of them is enough.
+        if height <= 0.0 {
+            continue;
+        }
         let wanted = [(0, 2), (0, 3)];
         let weighted = terms.map(|figure| (figure, 1.0));
         let gradient = around.flow.gradient(&solution, &weighted, &wanted).expect("a gradient").by_numbers;

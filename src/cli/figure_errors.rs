@@ -9,7 +9,7 @@ use crate::error::{BadInput, Error};
 use crate::numerics::interrupt;
 use crate::report::progress::Progress;
 use crate::report::table::Table;
-use crate::scene::figure_error::{errors, length_in, main_figure, order, FigureError};
+use crate::scene::figure_error::{errors, is_told_alone, length_in, main_figure, order, FigureError};
 use crate::scene::load::Loaded;
 use crate::scene::record::Record;
 use crate::scene::verification::with_its_wall;
@@ -20,6 +20,8 @@ use std::time::Instant;
 
 /// Coarser spacings over the scene's, those that are wanted most first: one of the first and one of the second list.
 const RATIOS: [&[f64]; 2] = [&[1.25, 1.34, 1.42, 1.2], &[1.67, 2.0, 1.75, 1.5]];
+/// A finer spacing, in the scene's.
+const FINER: f64 = 0.8;
 /// Two spacings that differ by less than this share are the same.
 const SAME: f64 = 0.04;
 /// How often `--accuracy` tries another spacing.
@@ -33,7 +35,8 @@ const FINEST: f64 = 1.0 / 8.0;
 #[derive(Debug, Clone, Args)]
 pub struct ErrorArguments {
     /// Find the error of every figure: the scene runs at two coarser spacings, too, which takes about as long again at most. A steady flow
-    /// of fixed particles around shapes in the plane tells its errors itself, and error.png where they come from.
+    /// of fixed particles around shapes in the plane tells its errors itself, and error.png where they come from. Around bodies in three
+    /// dimensions it is a finer spacing, which takes three times as long, where coarser ones leave no room for a surface around a body.
     #[arg(long)]
     pub error: bool,
     /// Choose the spacing at which the error of the first figure (Q, or the objective) is at most this share of it, such as 0.1%.
@@ -86,8 +89,8 @@ impl Spacings {
         Ok(found)
     }
 
-    /// The records at two coarser spacings that suit the scene.
-    fn coarser(&mut self, loaded: &Loaded) -> anyhow::Result<Vec<(f64, Record)>> {
+    /// The records at two coarser spacings that suit the scene, and at a finer one if those tell a figure of the scene's by other sums.
+    fn others(&mut self, loaded: &Loaded, record: &Record) -> anyhow::Result<Vec<(f64, Record)>> {
         let own = coarser_spacings(&with_its_wall(loaded)?);
         let bar = Progress::new(own.len() as u64, "coarser spacings");
         let (mut found, mut failure) = (vec![], None);
@@ -99,6 +102,14 @@ impl Spacings {
             bar.done(1);
         }
         bar.finish();
+        if loaded.config.is_around_bodies() && is_told_alone(record, &found) {
+            let finer = loaded.with(&at_spacing(loaded, FINER * loaded.config.resolution.dx))?;
+            let bar = Progress::new(1, "a finer spacing");
+            if let Ok(record) = self.run(&finer)? {
+                found.push((finer.config.resolution.dx, record));
+            }
+            bar.finish();
+        }
         if found.is_empty() {
             let why = failure.map_or(String::new(), |why| format!(": {}", first_line(&why)));
             let problem = format!("no error is known, for the scene cannot be run at a coarser spacing{why}");
@@ -113,8 +124,8 @@ impl Spacings {
         if loaded.config.knows_its_errors() {
             return Ok(serde_json::from_value(record.0.get("errors").cloned().unwrap_or_default())?);
         }
-        let coarser = self.coarser(loaded)?;
-        Ok(errors(&loaded.config, record, &coarser))
+        let others = self.others(loaded, record)?;
+        Ok(errors(&loaded.config, record, &others))
     }
 
     /// The scene with the largest spacing that was found at which the first figure has no larger relative error than `accuracy`.

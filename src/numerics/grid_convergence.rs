@@ -1,8 +1,8 @@
 //! The error of a figure by its spacing, from its values at several spacings (Richardson's extrapolation with the safety of the grid
 //! convergence index: Roache 1998; ASME V&V 20-2009, section 2).
 //!
-//! Where f(h) = f + c h^p, the error at the finest of two spacings h and r h is (f(r h) - f(h)) / (r^p - 1). The order p is that of
-//! the method, not the one that three values show: figures of particles are not smooth enough in h for that. With several coarser
+//! Where f(h) = f + c h^p, the error at h follows from another spacing r h: (f(r h) - f(h)) / (r^p - 1). The order p is that of
+//! the method, not the one that three values show: figures of particles are not smooth enough in h for that. With several other
 //! spacings the largest of their estimates counts.
 
 /// The factor of safety of the grid convergence index where more than two spacings are compared.
@@ -17,11 +17,11 @@ pub struct Point {
     pub value: f64,
 }
 
-/// The error at `finest`, given the same at coarser spacings; none without a coarser one.
-pub fn at_finest(finest: Point, coarser: &[Point], order: f64) -> Option<f64> {
-    let estimate = |one: &Point| (one.value - finest.value).abs() / ((one.spacing / finest.spacing).powf(order) - 1.0);
-    let coarser = coarser.iter().filter(|one| one.spacing > finest.spacing && one.value.is_finite());
-    coarser.map(estimate).reduce(f64::max).map(|error| SAFETY * error)
+/// The error at a spacing, given the same at other ones, coarser or finer; none without another.
+pub fn error_at(own: Point, others: &[Point], order: f64) -> Option<f64> {
+    let estimate = |one: &Point| (one.value - own.value).abs() / ((one.spacing / own.spacing).powf(order) - 1.0).abs();
+    let others = others.iter().filter(|one| one.spacing != own.spacing && one.value.is_finite());
+    others.map(estimate).reduce(f64::max).map(|error| SAFETY * error)
 }
 
 /// The order that three spacings show; none where the figure does not approach a limit from one side.

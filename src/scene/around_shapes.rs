@@ -493,12 +493,12 @@ pub(super) fn unusable<const D: usize>(config: &Config, why: &Unusable<D>) -> Er
         Unusable::Placing(Unplaceable::Narrow { shape, width }) if D == 3 => BadInput::at(
             format!("shapes[{shape}]"),
             match *width > 0.0 {
-                true => format!("shapes[{shape}] is only {width:.2e} from another shape"),
+                true => format!("shapes[{shape}] is only {width:.2e} from another shape or a side of the region"),
                 false => format!("shapes[{shape}] cuts another shape or a side of the region, or is not in it"),
             },
         )
         .allowed(
-            "shapes in the region that are at least a spacing apart; they may stand on its sides and reach through them, cylinders and extruded shapes along their axis",
+            "shapes in the region that are at least a spacing apart, and half of one from its sides; they may stand on sides and reach through them, cylinders and extruded shapes along their axis",
         ),
         Unusable::Placing(Unplaceable::Narrow { shape, width: 0.0 }) => BadInput::at(
             format!("shapes[{shape}]"),

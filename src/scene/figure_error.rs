@@ -1,6 +1,6 @@
 //! The error of each figure of a run: by its spacing, by the distance from the steady state, and by the sampling of moving particles.
 //!
-//! The part by the spacing follows from the same run at coarser spacings ([`crate::numerics::grid_convergence`]). Two runs may agree in one figure by
+//! The part by the spacing follows from the same run at other spacings, as a rule coarser ones ([`crate::numerics::grid_convergence`]). Two runs may agree in one figure by
 //! chance, so no figure has less than a third of the relative error that the run's figures have in the middle (`POOLED`; all of it around bodies in
 //! three dimensions), no component of a force
 //! less than a third of the error of the force as a vector, and none of heat between walls less than the ends of the hot section make
@@ -12,7 +12,7 @@
 use super::flows::columns_of;
 use super::record::Record;
 use crate::config::scene::{Config, Family, Method};
-use crate::numerics::grid_convergence::{at_finest, observed_order, Point, SAFETY, SAFETY_OF_TWO};
+use crate::numerics::grid_convergence::{error_at, observed_order, Point, SAFETY, SAFETY_OF_TWO};
 use crate::sph::cloud::outline::Outline;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -221,41 +221,47 @@ fn same_extent(config: &Config, name: &str, spacing: f64) -> f64 {
     }
 }
 
-/// A run at a coarser spacing.
-struct Coarser<'a> {
+/// A run at another spacing.
+struct Other<'a> {
     spacing: f64,
     record: &'a Record,
     figures: Vec<Figure>,
 }
 
-/// The runs at coarser spacings, where a figure was told by the same sums as in the finest: around a shape between walls so many coarse spacings may
+/// By what sums a figure was told in a run: those of its shape, or of all for the objective.
+fn told_by(record: &Record, name: &str) -> Vec<Value> {
+    let shapes = record.rows("shapes").into_iter().flatten().enumerate();
+    let is_asked = |k: &usize| name == "objective" || name.starts_with(&format!("shapes[{k}]."));
+    shapes.filter(|(k, _)| is_asked(k)).map(|(_, shape)| shape["told_by"].clone()).collect()
+}
+
+/// Whether no other run tells some figure of a run by the same sums.
+pub fn is_told_alone(record: &Record, others: &[(f64, Record)]) -> bool {
+    let is_alone = |(name, _): &Figure| others.iter().all(|(_, other)| told_by(other, name) != told_by(record, name));
+    figures(record).iter().any(is_alone)
+}
+
+/// The runs at other spacings, where a figure was told by the same sums: around a shape between walls so many coarse spacings may
 /// have no room for a closed surface, and what is told otherwise differs by more than the error. All, if it was the same nowhere.
-fn comparable<'a>(finest: &Record, coarser: &'a [Coarser], name: &str) -> Vec<&'a Coarser<'a>> {
-    let told_by = |record: &Record| -> Vec<Value> {
-        let shapes = record.rows("shapes").into_iter().flatten().enumerate();
-        let is_asked = |k: &usize| name == "objective" || name.starts_with(&format!("shapes[{k}]."));
-        shapes.filter(|(k, _)| is_asked(k)).map(|(_, shape)| shape["told_by"].clone()).collect()
-    };
-    let own = told_by(finest);
-    let same: Vec<&Coarser> = coarser.iter().filter(|one| told_by(one.record) == own).collect();
+fn comparable<'a>(record: &Record, others: &'a [Other], name: &str) -> Vec<&'a Other<'a>> {
+    let own = told_by(record, name);
+    let same: Vec<&Other> = others.iter().filter(|one| told_by(one.record, name) == own).collect();
     if same.is_empty() {
-        return coarser.iter().collect();
+        return others.iter().collect();
     }
     same
 }
 
-/// The errors of the figures of a run, given the records of the same at coarser spacings.
-pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Vec<FigureError> {
-    let coarser: Vec<Coarser> = coarser
-        .iter()
-        .map(|(spacing, record)| Coarser { spacing: *spacing, record, figures: figures(record) })
-        .collect();
+/// The errors of the figures of a run, given the records of the same at other spacings.
+pub fn errors(config: &Config, record: &Record, others: &[(f64, Record)]) -> Vec<FigureError> {
+    let others: Vec<Other> =
+        others.iter().map(|(spacing, record)| Other { spacing: *spacing, record, figures: figures(record) }).collect();
     let mut found = vec![];
     let of_run = figures(record);
     for (name, value) in of_run.clone() {
-        let finest = Point { spacing: config.resolution.dx, value };
-        let alike = comparable(record, &coarser, &name);
-        let factor = if alike.len() < coarser.len() { SAFETY_OF_TWO / SAFETY } else { 1.0 };
+        let own = Point { spacing: config.resolution.dx, value };
+        let alike = comparable(record, &others, &name);
+        let factor = if alike.len() < others.len() { SAFETY_OF_TWO / SAFETY } else { 1.0 };
         let points: Vec<Point> = alike
             .iter()
             .filter_map(|one| {
@@ -267,10 +273,10 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
         if points.iter().all(|point| (point.value - value).abs() <= ROUNDING * value.abs()) {
             continue;
         }
-        let Some(error) = at_finest(finest, &points, order(config, &name)) else { continue };
+        let Some(error) = error_at(own, &points, order(config, &name)) else { continue };
         let discretisation = factor * error;
         let parts = Parts { discretisation, ..of_window(config, record, &name, value) };
-        found.push(FigureError { observed_order: observed_order(finest, &points), error: 0.0, name, value, parts });
+        found.push(FigureError { observed_order: observed_order(own, &points), error: 0.0, name, value, parts });
     }
     let relative = |one: &FigureError| one.parts.discretisation / one.value.abs();
     // A figure that is zero but for rounding, as the velocity of a slab at rest, has no relative error.
@@ -280,7 +286,7 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
     let least = all.get(all.len() / 2).map_or(0.0, |median| pooled * median);
     for one in &mut found {
         let least = least.max(of_hot_ends(config, &one.name));
-        let of_force = of_force(config, &of_run, &comparable(record, &coarser, &one.name), &one.name);
+        let of_force = of_force(config, &of_run, &comparable(record, &others, &one.name), &one.name);
         one.parts.discretisation = one.parts.discretisation.max(least * one.value.abs()).max(of_force);
     }
     // The objective may be one of the other figures.
@@ -296,7 +302,7 @@ pub fn errors(config: &Config, record: &Record, coarser: &[(f64, Record)]) -> Ve
 /// The least error of a component of a shape's force or of its torque in the plane; 0 for other figures. A component that is small because much
 /// cancels in it, as the lift of a body does, is as far off as others are. The torque's is that of the force times the radius of a circle of the
 /// shape's area.
-fn of_force(config: &Config, finest: &[Figure], coarser: &[&Coarser], name: &str) -> f64 {
+fn of_force(config: &Config, own: &[Figure], others: &[&Other], name: &str) -> f64 {
     let Some((shape, figure)) = name.split_once('.') else { return 0.0 };
     let arm = match figure {
         "torque" => radius_of(config, shape).unwrap_or(0.0),
@@ -307,11 +313,11 @@ fn of_force(config: &Config, finest: &[Figure], coarser: &[&Coarser], name: &str
         let component = |d: usize| of.iter().find(|(other, _)| *other == format!("{shape}.force[{d}]"));
         (0..3).map_while(component).map(|(_, value)| *value).collect()
     };
-    let own = force(finest);
+    let own = force(own);
     let off = |of: &[Figure]| force(of).iter().zip(&own).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let points: Vec<Point> =
-        coarser.iter().map(|one| Point { spacing: one.spacing, value: off(&one.figures) }).collect();
-    let error = at_finest(Point { spacing: config.resolution.dx, value: 0.0 }, &points, order(config, name));
+        others.iter().map(|one| Point { spacing: one.spacing, value: off(&one.figures) }).collect();
+    let error = error_at(Point { spacing: config.resolution.dx, value: 0.0 }, &points, order(config, name));
     POOLED * arm * error.unwrap_or(0.0)
 }
 

@@ -20,7 +20,7 @@ use crate::design::objectives::Figure;
 use crate::design::parametrisations::SplineSurface;
 use crate::design::shape::Shape;
 use crate::error::{BadInput, Error};
-use crate::numerics::grid_convergence::{at_finest, Point};
+use crate::numerics::grid_convergence::{error_at, Point};
 use crate::sph::Sweeps;
 use std::time::Instant;
 
@@ -165,7 +165,7 @@ impl Verified {
     /// The error that is left at the finer spacing, over the change to it.
     fn left(&self) -> Option<f64> {
         let point = |spacing, value| Point { spacing, value };
-        at_finest(point(self.finer, 0.0), &[point(1.0, 1.0)], self.order)
+        error_at(point(self.finer, 0.0), &[point(1.0, 1.0)], self.order)
     }
 
     /// The parts of the error of a number that each check has, given that by the spacing.
@@ -185,7 +185,7 @@ impl Verified {
 
     /// The error of the gain.
     ///
-    /// * By the spacing: what is left at the finer one, from the change of the gain ([`at_finest`]), and no less than a tenth of it.
+    /// * By the spacing: what is left at the finer one, from the change of the gain ([`error_at`]), and no less than a tenth of it.
     ///   Errors that both walls have cancel. Without a finer spacing, the difference from particles of the other kind. Of heat from one wall by
     ///   fixed particles a part is known (`RISING`, `FALLING`), and the least error is that, or `LEAST_BETWEEN` of the gain.
     /// * By the distance from the steady state: twice the change over twice the time.

@@ -135,7 +135,7 @@ impl Grid {
             }
             let (shape, distance) = nearest;
             let line = REACHES.iter().position(|&reach| distance < reach * ground.dx)?;
-            let next = next.min(to_sides(cloud, shape, p));
+            let next = next.min(ground.to_sides(shape, p));
             (distance < NEARER * next).then_some((shape as u16, line as u8))
         };
         grid.cells = (0..count.iter().product()).map(of).collect();
@@ -188,14 +188,6 @@ impl Grid {
     }
 }
 
-/// How far a place is from sides of the region on which a shape does not stand.
-fn to_sides(cloud: &Cloud, shape: usize, p: [f64; 3]) -> f64 {
-    let (region, surface) = (&cloud.ground.region, &cloud.ground.surfaces[shape]);
-    let to = |side: usize| if side.is_multiple_of(2) { p[side / 2] } else { region.size[side / 2] - p[side / 2] };
-    let counts = |side: &usize| !region.periodic[side / 2] && !surface.stands_on(*side);
-    (0..6).filter(counts).map(to).fold(f64::INFINITY, f64::min)
-}
-
 /// Finds particles of a cloud that are next to a place.
 struct Particles<'a> {
     cloud: &'a Cloud,
@@ -244,7 +236,7 @@ pub fn around_all(cloud: &Cloud, points: &[Vec<usize>], balanced: Balanced) -> V
     let width = |shape: usize| {
         let to_next = |&k: &usize| {
             let p = places.place[places.inside + k];
-            ground.distance(p, Some(shape)).min(to_sides(cloud, shape, p))
+            ground.distance(p, Some(shape)).min(ground.to_sides(shape, p))
         };
         points[shape].iter().map(to_next).fold(f64::INFINITY, f64::min)
     };

@@ -77,6 +77,14 @@ impl Ground {
         self.surfaces.iter().enumerate().map(of).fold(f64::INFINITY, f64::min)
     }
 
+    /// How far a place is from sides of the region on which a shape does not stand.
+    pub fn to_sides(&self, shape: usize, p: [f64; 3]) -> f64 {
+        let (Region { size, periodic }, surface) = (&self.region, &self.surfaces[shape]);
+        let to = |side: usize| if side.is_multiple_of(2) { p[side / 2] } else { size[side / 2] - p[side / 2] };
+        let counts = |side: &usize| !periodic[side / 2] && !surface.stands_on(*side);
+        (0..6).filter(counts).map(to).fold(f64::INFINITY, f64::min)
+    }
+
     fn is_in_box(&self, p: [f64; 3], margin: f64) -> bool {
         let Region { size, periodic } = self.region;
         (0..3).all(|d| periodic[d] || (p[d] > margin && p[d] < size[d] - margin))
@@ -129,10 +137,11 @@ impl Ground {
         let mut kept: Vec<([f64; 3], f64)> = vec![];
         let mut cells = Growing::new(region, dx);
         for (shape, surface) in self.surfaces.iter().enumerate() {
-            let mut width = f64::INFINITY;
+            let (mut width, mut to_sides) = (f64::INFINITY, f64::INFINITY);
             for spot in surface.spread(&region, h0, 0.0) {
                 let on = surface.at(&spot, &surface.numbers);
                 let is_out = !self.is_in_box(on.place, 0.0);
+                to_sides = to_sides.min(self.to_sides(shape, on.place));
                 width = width.min(if is_out { 0.0 } else { self.distance(on.place, Some(shape)).max(0.0) });
                 let length = on.area.iter().map(|x| x * x).sum::<f64>().sqrt();
                 let normal = on.area.map(|x| x / length);
@@ -143,6 +152,9 @@ impl Ground {
             }
             if width < 2.0 * h0 {
                 return Err(Unplaceable::Narrow { shape, width });
+            }
+            if to_sides < h0 {
+                return Err(Unplaceable::Narrow { shape, width: to_sides });
             }
         }
         let tiles = self.sides(&mut boundary, &mut walls, &mut cells);
