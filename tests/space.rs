@@ -1,6 +1,7 @@
 //! Fixed particles around shapes in space.
 
 use crate::cloud::loaded;
+use crate::facets::depend_on_numbers;
 use hydrograd::config::custom::{Kind, Part, ShapeEntry};
 use hydrograd::config::scene::Config;
 use hydrograd::scene::around_bodies::AroundBodies;
@@ -12,7 +13,7 @@ use hydrograd::sph::cloud::fit::Stencils;
 use hydrograd::sph::cloud::fit_adjoint::PairCotangents;
 use hydrograd::sph::cloud::fits::Fits;
 use hydrograd::sph::cloud::nearest::{Nearest, Region};
-use hydrograd::sph::cloud::outline::{Dual, Outline};
+use hydrograd::sph::cloud::outline::Outline;
 use hydrograd::sph::cloud::particles::{Balanced, Fluid, Unusable};
 use hydrograd::sph::cloud::space::equations::Motion;
 use hydrograd::sph::cloud::space::fits::{fits, seen, Where};
@@ -703,6 +704,10 @@ fn a_ball_on_a_side_is_cut_there() {
             let along: f64 = on.iter().map(|on| on.area[axis]).sum();
             assert!((along - open).abs() < 1e-12, "{numbers:?}: {along} {open}");
             assert!(on.iter().all(|on| surface.distance(&region, on.place).abs() < 1e-12));
+            for side in &sides {
+                let from = |p: &[f64; 3]| if side % 2 == 0 { p[axis] } else { region.size[axis] - p[axis] };
+                assert!(on.iter().all(|on| from(&on.place) >= 0.35 * spacing), "{numbers:?}");
+            }
             // As many points as its area has places.
             let each = area / on.len() as f64 / (spacing * spacing);
             assert!((0.8..1.3).contains(&each), "{numbers:?}: {each}");
@@ -717,24 +722,7 @@ fn a_ball_on_a_side_is_cut_there() {
                 assert!(from > 0.02, "{numbers:?}: {p:?}");
             }
         }
-        for spot in &surface.spread(&region, 0.1, 0.0) {
-            for n in 0..4 {
-                let dual: Vec<Dual> = (0..4).map(|k| Dual::new(numbers[k], if k == n { 1.0 } else { 0.0 })).collect();
-                let exact = surface.at(spot, &dual);
-                let moved = |step: f64| {
-                    let mut numbers = numbers;
-                    numbers[n] += step;
-                    surface.at(spot, &numbers)
-                };
-                let (up, down) = (moved(1e-6), moved(-1e-6));
-                for d in 0..3 {
-                    let place = (up.place[d] - down.place[d]) / 2e-6;
-                    let area = (up.area[d] - down.area[d]) / 2e-6;
-                    assert!((place - exact.place[d].slope).abs() < 1e-6, "place by {n}");
-                    assert!((area - exact.area[d].slope).abs() < 1e-6, "area by {n}");
-                }
-            }
-        }
+        depend_on_numbers(&surface, &surface.spread(&region, 0.1, 0.0), 1e-6, 1e-6);
     }
     let text = |centre: &str| {
         format!(

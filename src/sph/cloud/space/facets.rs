@@ -23,6 +23,9 @@ const MOST: usize = 256;
 const APART: f64 = 0.8;
 /// Steps towards the middle of the samples nearest to each point (Lloyd 1982).
 const STEPS: usize = 8;
+/// Points on a surface have this distance from sides of the region on which it stands, in spacings; what is nearer belongs to the next one. (Where a
+/// surface meets a side at a small angle, points of both face each other with no particle in between, and flows are not found.)
+pub const BESIDE: f64 = 0.35;
 /// Triangles in a leaf of the tree.
 const LEAF: usize = 4;
 
@@ -333,7 +336,20 @@ impl Facets {
             }
         }
         let is_there = |samples: &&Vec<(Facet, [f64; 3])>| !samples.is_empty();
-        samples.iter().filter(is_there).flat_map(|samples| self.spread_on(samples, spacing, distance)).collect()
+        let beside =
+            |facet: &Facet| distance == 0.0 && within.iter().any(|half| half.depth(facet.place) < BESIDE * spacing);
+        let of_patch = |samples: &Vec<(Facet, [f64; 3])>| {
+            let points = self.spread_on(samples, spacing, distance).into_iter();
+            let (left, mut kept): (Vec<Facet>, Vec<Facet>) = points.partition(beside);
+            for Facet { place, area } in left {
+                let from = |facet: &Facet| length(minus(facet.place, place));
+                if let Some(next) = kept.iter_mut().min_by(|a, b| from(a).total_cmp(&from(b))) {
+                    next.area = plus(next.area, area);
+                }
+            }
+            kept
+        };
+        samples.iter().filter(is_there).flat_map(of_patch).collect()
     }
 
     /// The points of a patch, given its samples.

@@ -7,7 +7,7 @@
 use super::super::nearest::{Nearest, Plane, Region};
 use super::super::outline::{cross, OnOutline, Outline, Scalar};
 use super::super::placing::{lengths, spread, Polygon};
-use super::facets::{Facet, Facets, HalfSpace};
+use super::facets::{Facet, Facets, HalfSpace, BESIDE};
 use crate::config::custom::Part;
 use std::f64::consts::PI;
 
@@ -205,6 +205,13 @@ pub fn from_all(distances: &[f64]) -> f64 {
 fn in_row(k: usize, round: Vec<(f64, f64, f64)>) -> impl Iterator<Item = (f64, f64)> {
     let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
     round.into_iter().map(move |(t, dt, _)| ((t + shift * dt).rem_euclid(1.0), dt))
+}
+
+/// A ring of points of a ball: the angle from its lowest point, and the shares of its height between which they stand for it.
+struct Ring {
+    angle: f64,
+    below: f64,
+    above: f64,
 }
 
 /// The heights of the lowest and the highest point of a ball along a direction, or those of sides on which it stands.
@@ -444,13 +451,24 @@ impl Surface {
         let end = |end: usize| standing.sides[axis][end].map_or(PI * end as f64, |side| ((centre - side) / r).acos());
         let (first, all) = (end(0), end(1) - end(0));
         let (rows, step) = standing.rows(axis, all * r, spacing, distance > 0.0);
-        let ring = |(k, at): (usize, f64)| {
-            let angle = first + all * at;
-            let (sin, cos) = angle.sin_cos();
-            let half = 0.5 * all * step;
-            let [low, high] = ball_ends(standing, axis, &self.numbers);
-            let height = |angle: f64| (centre - r * angle.cos() - low) / (high - low);
+        let [low, high] = ball_ends(standing, axis, &self.numbers);
+        let height = |angle: f64| (centre - r * angle.cos() - low) / (high - low);
+        // What belongs to a ring next to a side belongs to the next ring if it is nearer than points may be.
+        let beside = BESIDE * spacing / (high - low);
+        let (mut kept, mut left): (Vec<Ring>, Option<f64>) = (vec![], None);
+        for at in rows {
+            let (angle, half) = (first + all * at, 0.5 * all * step);
             let (below, above) = (height(angle - half), height(angle + half));
+            let from = [0.5 * (below + above), 1.0 - 0.5 * (below + above)];
+            let is_beside = |end: usize| distance == 0.0 && standing.stands(axis, end) && from[end] < beside;
+            match kept.last_mut() {
+                None if is_beside(0) => left = left.or(Some(below)),
+                Some(last) if is_beside(1) => last.above = above,
+                _ => kept.push(Ring { angle, below: left.take().unwrap_or(below), above }),
+            }
+        }
+        let ring = |(k, Ring { angle, below, above }): (usize, Ring)| {
+            let (sin, cos) = angle.sin_cos();
             let count = (2.0 * PI * r * sin / spacing).round().max(3.0);
             let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
             (0..count as usize).map(move |k| {
@@ -464,7 +482,7 @@ impl Surface {
                 Spot::Zone { at: 0.5 * (below + above), around, share: (above - below) / count }
             })
         };
-        rows.into_iter().enumerate().flat_map(ring).collect()
+        kept.into_iter().enumerate().flat_map(ring).collect()
     }
 
     /// The x and y of the shape's centre, for numbers of the shape: those among them, the middle of a box, or the centroid of a column's
