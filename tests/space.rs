@@ -679,6 +679,7 @@ fn a_ball_on_a_side_is_cut_there() {
         ([0.4, 1.35, 0.5, 0.3], vec![3]),
         ([0.5, 0.6, 0.45, 0.57], vec![4, 5]),
         ([0.5, 0.6, 0.25, 0.25], vec![4]),
+        ([0.5, 0.6, 0.75 + 1e-11, 0.25], vec![5]),
     ] {
         let form = Form::Ball(Standing::of_ball(&region, &numbers));
         let surface = Surface { form, ..ball([numbers[0], numbers[1], numbers[2]], numbers[3]) };

@@ -447,8 +447,9 @@ impl Surface {
     /// Spots in rings about `spacing` apart around the axis of a ball that stands on sides across it, at a distance from the ball.
     fn rings(&self, standing: &Standing, axis: usize, spacing: f64, distance: f64) -> Vec<Spot> {
         let (centre, r) = (self.numbers[axis], self.numbers[3] + distance);
-        // Angles from its lowest point.
-        let end = |end: usize| standing.sides[axis][end].map_or(PI * end as f64, |side| ((centre - side) / r).acos());
+        // Angles from its lowest point, which may be in the side but for rounding.
+        let angle_at = |side: f64| ((centre - side) / r).clamp(-1.0, 1.0).acos();
+        let end = |end: usize| standing.sides[axis][end].map_or(PI * end as f64, angle_at);
         let (first, all) = (end(0), end(1) - end(0));
         let (rows, step) = standing.rows(axis, all * r, spacing, distance > 0.0);
         let [low, high] = ball_ends(standing, axis, &self.numbers);
