@@ -29,6 +29,10 @@ fn the_error_of_a_power_of_the_spacing_is_found_with_its_factor_of_safety() {
     let at = |spacing, value| Point { spacing, value };
     assert_eq!(observed_order(at(1.0, 0.0), &[at(1.25, 1.0), at(2.0, -1.0)]), None);
     assert_eq!(observed_order(at(1.0, 0.0), &[at(1.25, 1.0)]), None);
+    // A finer one hides none.
+    let others = [at(1.25, 0.5625), at(2.0, 3.0), at(0.8, -0.36)];
+    assert!((observed_order(at(1.0, 0.0), &others).unwrap() - 2.0).abs() < 1e-9);
+    assert!((error_at(at(1.0, 0.0), &others, 2.0).unwrap() - 1.25).abs() < 1e-12);
 }
 
 /// Means of a first-order autoregressive process lie within the error in about 19 of 20 cases.

@@ -103,10 +103,9 @@ impl Spacings {
         }
         bar.finish();
         if loaded.config.is_around_bodies() && is_told_alone(record, &found) {
-            let finer = loaded.with(&at_spacing(loaded, FINER * loaded.config.resolution.dx))?;
             let bar = Progress::new(1, "a finer spacing");
-            if let Ok(record) = self.run(&finer)? {
-                found.push((finer.config.resolution.dx, record));
+            if let Ok(finer) = loaded.with(&at_spacing(loaded, FINER * loaded.config.resolution.dx)) {
+                found.extend(self.run(&finer)?.ok().map(|record| (finer.config.resolution.dx, record)));
             }
             bar.finish();
         }

@@ -24,13 +24,13 @@ pub fn error_at(own: Point, others: &[Point], order: f64) -> Option<f64> {
     others.map(estimate).reduce(f64::max).map(|error| SAFETY * error)
 }
 
-/// The order that three spacings show; none where the figure does not approach a limit from one side.
-pub fn observed_order(finest: Point, coarser: &[Point]) -> Option<f64> {
-    let mut coarser: Vec<Point> = coarser.to_vec();
+/// The order that a spacing and two coarser ones of some others show; none where the figure does not approach a limit from one side.
+pub fn observed_order(own: Point, others: &[Point]) -> Option<f64> {
+    let mut coarser: Vec<Point> = others.iter().filter(|one| one.spacing > own.spacing).copied().collect();
     coarser.sort_by(|a, b| a.spacing.total_cmp(&b.spacing));
     let [middle, .., coarsest] = coarser.as_slice() else { return None };
-    let (near, far) = (middle.value - finest.value, coarsest.value - finest.value);
-    let (r, s) = (middle.spacing / finest.spacing, coarsest.spacing / finest.spacing);
+    let (near, far) = (middle.value - own.value, coarsest.value - own.value);
+    let (r, s) = (middle.spacing / own.spacing, coarsest.spacing / own.spacing);
     let excess = |p: f64| (s.powf(p) - 1.0) / (r.powf(p) - 1.0) - far / near;
     // The quotient grows with the order.
     let (mut low, mut high) = (0.05, 10.0);

@@ -152,6 +152,44 @@ fn with_parameters(entry: &ShapeEntry, form: Form, mut all: Vec<(Part, f64)>) ->
     Surface { form, parts, numbers, geometry }
 }
 
+/// What a surface cannot be, or cannot become by its variables, where it stands.
+fn check_surfaces(config: &Config, surfaces: &[Surface]) -> Result<(), BadInput> {
+    if let Some(shape) = surfaces.iter().position(|surface| !surface.has_seen_ends()) {
+        let key = format!("shapes[{shape}].ends");
+        return Err(BadInput::at(
+            &key,
+            format!("{key}: not all of its outline is seen from the centroid of its section"),
+        )
+        .allowed("outlines that are; any shape that goes through the whole box, without ends"));
+    }
+    if let Some(shape) = surfaces.iter().position(Surface::is_ball_in_edge) {
+        return Err(BadInput::at(
+            format!("shapes[{shape}]"),
+            format!("shapes[{shape}] is a ball that goes through sides of the region which are not opposite"),
+        )
+        .allowed("balls through one side, or two opposite ones; any others as triangles, with kind = \"file\""));
+    }
+    for (k, number) in config.shape_numbers().iter().enumerate() {
+        let surface = surfaces.get(number.shape);
+        let is_held = |d: usize| surface.is_some_and(|surface| surface.is_held_along(d));
+        let is_behind = match number.part {
+            Part::Centre(d) => is_held(d),
+            Part::Angle => is_held(0) || is_held(1),
+            Part::Scale => (0..3).any(is_held),
+            _ => false,
+        };
+        if is_behind {
+            let key = format!("variables[{k}].number");
+            return Err(BadInput::at(
+                &key,
+                format!("{key} = \"{number}\" moves what of the shape is behind the sides that it stands on"),
+            )
+            .allowed("of such shapes from files the centre along the sides, and the angle if these are across z"));
+        }
+    }
+    Ok(())
+}
+
 impl AroundBodies {
     /// The flow of a checked configuration, see [`Config::is_around_bodies`].
     ///
@@ -172,42 +210,7 @@ impl AroundBodies {
                 _ => surface(entry, &region, ROUNDED * spacing),
             });
         }
-        if let Some(shape) = surfaces.iter().position(|surface| !surface.has_seen_ends()) {
-            let key = format!("shapes[{shape}].ends");
-            return Err(BadInput::at(
-                &key,
-                format!("{key}: not all of its outline is seen from the centroid of its section"),
-            )
-            .allowed("outlines that are; any shape that goes through the whole box, without ends")
-            .into());
-        }
-        if let Some(shape) = surfaces.iter().position(Surface::is_ball_in_edge) {
-            return Err(BadInput::at(
-                format!("shapes[{shape}]"),
-                format!("shapes[{shape}] is a ball that goes through sides of the region which are not opposite"),
-            )
-            .allowed("balls through one side, or two opposite ones; any others as triangles, with kind = \"file\"")
-            .into());
-        }
-        for (k, number) in config.shape_numbers().iter().enumerate() {
-            let surface = surfaces.get(number.shape);
-            let is_held = |d: usize| surface.is_some_and(|surface| surface.is_held_along(d));
-            let is_behind = match number.part {
-                Part::Centre(d) => is_held(d),
-                Part::Angle => is_held(0) || is_held(1),
-                Part::Scale => (0..3).any(is_held),
-                _ => false,
-            };
-            if is_behind {
-                let key = format!("variables[{k}].number");
-                return Err(BadInput::at(
-                    &key,
-                    format!("{key} = \"{number}\" moves what of the shape is behind the sides that it stands on"),
-                )
-                .allowed("of shapes from files that stand on sides: the centre along these, and the angle around z if the sides are across z")
-                .into());
-            }
-        }
+        check_surfaces(config, &surfaces)?;
         let read = config.wall_formula();
         let shapes = config.shapes.iter().enumerate().map(|(k, entry)| OnWall::of_shape(k, entry, 3, read));
         let conditions = Conditions {

@@ -101,7 +101,7 @@ impl Standing {
     }
 
     /// The directions across sides that it stands on.
-    pub fn axes(&self) -> impl Iterator<Item = usize> + '_ {
+    fn axes(&self) -> impl Iterator<Item = usize> + '_ {
         (0..3).filter(|&d| self.sides[d] != [None, None])
     }
 
