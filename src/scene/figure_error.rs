@@ -1,10 +1,9 @@
 //! The error of each figure of a run: by its spacing, by the distance from the steady state, and by the sampling of moving particles.
 //!
 //! The part by the spacing follows from the same run at other spacings, as a rule coarser ones ([`crate::numerics::grid_convergence`]).
-//! Two runs may agree in one figure by chance, so no figure has less than a third of the relative error that the run's figures have in the middle (`POOLED`; all of it around bodies in
-//! three dimensions), no component of a force
-//! less than a third of the error of the force as a vector, and none of heat between walls less than the ends of the hot section make
-//! (`HOT_ENDS_FIXED`, `HOT_ENDS_MOVING`).
+//! Two runs may agree in one figure by chance, so no figure has less than a third of the relative error that the run's figures have in the
+//! middle (`POOLED`; all of it around bodies in three dimensions), no component of a force less than a third of the error of the force as a
+//! vector, and none of heat between walls less than the ends of the hot section make (`HOT_ENDS_FIXED`, `HOT_ENDS_MOVING`).
 //!
 //! The error is meant as one that 19 of 20 true errors do not exceed; `python3 scripts/figures.py errors` compares it with finite
 //! elements and exact solutions.
