@@ -696,9 +696,10 @@ fn a_ball_on_a_side_is_cut_there() {
             let length = |a: [f64; 3]| a.iter().map(|x| x * x).sum::<f64>().sqrt();
             let found = on.iter().map(|on| surface.volume(on, [numbers[0], numbers[1], numbers[2]])).sum::<f64>();
             let whole = on.iter().map(|on| length(on.area)).sum::<f64>();
-            // (Rings have the normal of their middle.)
-            let off = (spacing / r).powi(2);
-            assert!((found / volume - 1.0).abs() < 0.1 * off, "{numbers:?}: {found} {volume}");
+            // Exact where it stands on one side. Between two it is that across the axis alone, and rings have the radius of their middle: with
+            // n of height h it is pi n h^3 / 12 too large.
+            let off = if sides.len() > 1 { 0.12 * (spacing / r).powi(2) } else { 1e-12 };
+            assert!((found / volume - 1.0).abs() < off, "{numbers:?}: {found} {volume}");
             assert!((whole / area - 1.0).abs() < 1e-12, "{numbers:?}: {whole} {area}");
             // What it leaves open on its sides.
             let open = PI * ((r * r - low * low) - (r * r - high * high));

@@ -214,6 +214,12 @@ struct Ring {
     above: f64,
 }
 
+impl Ring {
+    fn middle(&self) -> f64 {
+        0.5 * (self.below + self.above)
+    }
+}
+
 /// The heights of the lowest and the highest point of a ball along a direction, or those of sides on which it stands.
 fn ball_ends<S: Scalar>(standing: &Standing, d: usize, s: &[S]) -> [S; 2] {
     let of = |end: usize, own: S| standing.sides[d][end].map_or(own, S::of);
@@ -454,21 +460,25 @@ impl Surface {
         let (rows, step) = standing.rows(axis, all * r, spacing, distance > 0.0);
         let [low, high] = ball_ends(standing, axis, &self.numbers);
         let height = |angle: f64| (centre - r * angle.cos() - low) / (high - low);
-        // What belongs to a ring next to a side belongs to the next ring if it is nearer than points may be.
-        let beside = BESIDE * spacing / (high - low);
-        let (mut kept, mut left): (Vec<Ring>, Option<f64>) = (vec![], None);
-        for at in rows {
+        let ring_at = |at: f64| {
             let (angle, half) = (first + all * at, 0.5 * all * step);
-            let (below, above) = (height(angle - half), height(angle + half));
-            let from = [0.5 * (below + above), 1.0 - 0.5 * (below + above)];
-            let is_beside = |end: usize| distance == 0.0 && standing.stands(axis, end) && from[end] < beside;
-            match kept.last_mut() {
-                None if is_beside(0) => left = left.or(Some(below)),
-                Some(last) if is_beside(1) => last.above = above,
-                _ => kept.push(Ring { angle, below: left.take().unwrap_or(below), above }),
-            }
+            Ring { angle, below: height(angle - half), above: height(angle + half) }
+        };
+        let mut kept: Vec<Ring> = rows.into_iter().map(ring_at).collect();
+        // A ring that is nearer to a side than points may be belongs to the next one.
+        let beside = if distance > 0.0 { 0.0 } else { BESIDE * spacing / (high - low) };
+        while standing.stands(axis, 0) && kept.len() > 1 && kept[0].middle() < beside {
+            kept[1].below = kept.remove(0).below;
         }
-        let ring = |(k, Ring { angle, below, above }): (usize, Ring)| {
+        while let [.., next, last] = kept.as_mut_slice() {
+            if !standing.stands(axis, 1) || 1.0 - last.middle() >= beside {
+                break;
+            }
+            next.above = last.above;
+            kept.pop();
+        }
+        let points_of = |(k, ring): (usize, Ring)| {
+            let (middle, Ring { angle, below, above }) = (ring.middle(), ring);
             let (sin, cos) = angle.sin_cos();
             let count = (2.0 * PI * r * sin / spacing).round().max(3.0);
             let shift = if k.is_multiple_of(2) { 0.0 } else { 0.5 };
@@ -480,10 +490,10 @@ impl Surface {
                     (direction[a], direction[b]) = (sin * around.cos(), sin * around.sin());
                     return Spot::Direction(direction, 1.0);
                 }
-                Spot::Zone { at: 0.5 * (below + above), around, share: (above - below) / count }
+                Spot::Zone { at: middle, around, share: (above - below) / count }
             })
         };
-        kept.into_iter().enumerate().flat_map(ring).collect()
+        kept.into_iter().enumerate().flat_map(points_of).collect()
     }
 
     /// The x and y of the shape's centre, for numbers of the shape: those among them, the middle of a box, or the centroid of a column's
