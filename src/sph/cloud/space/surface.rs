@@ -468,7 +468,8 @@ impl Surface {
         // A ring that is nearer to a side than points may be belongs to the next one.
         let beside = if distance > 0.0 { 0.0 } else { BESIDE * spacing / (high - low) };
         while standing.stands(axis, 0) && kept.len() > 1 && kept[0].middle() < beside {
-            kept[1].below = kept.remove(0).below;
+            let first = kept.remove(0);
+            kept[0].below = first.below;
         }
         while let [.., next, last] = kept.as_mut_slice() {
             if !standing.stands(axis, 1) || 1.0 - last.middle() >= beside {
