@@ -99,6 +99,10 @@ impl Surroundings for Conditions {
     }
 }
 
+fn values(numbers: &[(Part, f64)]) -> Vec<f64> {
+    numbers.iter().map(|(_, x)| *x).collect()
+}
+
 /// The surface of a checked shape.
 fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surface> {
     let vector = |of: fn(usize) -> Part, numbers: &Option<Vec<f64>>| -> Vec<(Part, f64)> {
@@ -109,13 +113,11 @@ fn surface(entry: &ShapeEntry, region: &Region<3>, rounded: f64) -> Option<Surfa
         Kind::Disc => {
             let mut all = vector(Part::Centre, &entry.centre);
             all.push((Part::Radius, entry.radius?));
-            let numbers: Vec<f64> = all.iter().map(|(_, x)| *x).collect();
-            Some(whole(Form::Ball(Standing::of_ball(region, &numbers)), all))
+            Some(whole(Form::Ball(Standing::of_ball(region, &values(&all))), all))
         }
         Kind::Box => {
             let all = [vector(Part::Lower, &entry.lower), vector(Part::Upper, &entry.upper)].concat();
-            let numbers: Vec<f64> = all.iter().map(|(_, x)| *x).collect();
-            Some(whole(Form::Box(Standing::of_box(region, &numbers)), all))
+            Some(whole(Form::Box(Standing::of_box(region, &values(&all))), all))
         }
         Kind::Cylinder => {
             let (axis, centre) = (entry.axis.unwrap_or_default().direction(), entry.centre.as_ref()?);
@@ -139,8 +141,8 @@ fn of_triangles(entry: &ShapeEntry, key: &str, file: &str, region: &Region<3>) -
     let centre = entry.centre.iter().flatten().enumerate().map(|(d, x)| (Part::Centre(d), *x));
     let own = [(Part::Scale, entry.scale.unwrap_or(1.0)), (Part::Angle, entry.angle.unwrap_or(0.0))];
     let all: Vec<(Part, f64)> = centre.chain(own).collect();
-    let (facets, numbers): (Facets, Vec<f64>) = (Facets::new(triangles), all.iter().map(|(_, x)| *x).collect());
-    let standing = Standing::of_facets(region, &facets, &numbers);
+    let facets = Facets::new(triangles);
+    let standing = Standing::of_facets(region, &facets, &values(&all));
     Ok(with_parameters(entry, Form::Facets(Box::new(facets), standing), all))
 }
 

@@ -236,7 +236,10 @@ fn told_by(record: &Record, name: &str) -> Vec<Value> {
 
 /// Whether no other run tells some figure of a run by the same sums.
 pub fn is_told_alone(record: &Record, others: &[(f64, Record)]) -> bool {
-    let is_alone = |(name, _): &Figure| others.iter().all(|(_, other)| told_by(other, name) != told_by(record, name));
+    let is_alone = |(name, _): &Figure| {
+        let own = told_by(record, name);
+        others.iter().all(|(_, other)| told_by(other, name) != own)
+    };
     figures(record).iter().any(is_alone)
 }
 

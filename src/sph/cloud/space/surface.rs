@@ -66,8 +66,7 @@ pub struct Standing {
 impl Standing {
     /// For the numbers of a ball.
     pub fn of_ball(region: &Region<3>, numbers: &[f64]) -> Self {
-        let ends = |d: usize| [numbers[d] - numbers[3], numbers[d] + numbers[3]];
-        Self { sides: std::array::from_fn(|d| Self::along(region, d, ends(d), NOTHING)) }
+        Self { sides: std::array::from_fn(|d| Self::along(region, d, ball_ends(d, numbers), NOTHING)) }
     }
 
     /// For triangles and the numbers of their place.
@@ -111,9 +110,23 @@ impl Standing {
         (0..6).filter_map(of)
     }
 
+    /// Where what is in the region begins and ends along a direction, of something between two ends.
+    fn ends<S: Scalar>(&self, d: usize, all: [S; 2]) -> [S; 2] {
+        [0, 1].map(|end| self.sides[d][end].map_or(all[end], S::of))
+    }
+
     /// The lower and the upper corner of what is in the region.
     fn corners<S: Scalar>(&self, s: &[S]) -> [S; 6] {
-        std::array::from_fn(|k| self.sides[k % 3][k / 3].map_or(s[k], S::of))
+        let ends = [0, 1, 2].map(|d| self.ends(d, [s[d], s[3 + d]]));
+        std::array::from_fn(|k| ends[k % 3][k / 3])
+    }
+
+    /// Half the length of what is in the region along a direction, of something between two ends: of what stands on a side as if mirrored by it,
+    /// and without an end where it goes from side to side.
+    fn half_length(&self, d: usize, all: [f64; 2]) -> f64 {
+        let [low, high] = self.ends(d, all);
+        let half = [0.5, 1.0, f64::INFINITY][(0..2).filter(|&end| self.stands(d, end)).count()];
+        (high - low) * half
     }
 
     /// Places about a spacing apart along an edge as shares of it, and the step between them. The first row of layers at a distance from the
@@ -123,11 +136,6 @@ impl Standing {
         let rows = (length / spacing + 1.0 - aside[0] - aside[1]).round().max(1.0);
         let steps = rows - 1.0 + aside[0] + aside[1];
         ((0..rows as usize).map(|k| (k as f64 + aside[0]) / steps).collect(), 1.0 / steps)
-    }
-
-    /// What share of a length is half of it, as if mirrored by the side that it stands on.
-    fn half(&self, d: usize) -> f64 {
-        [0.5, 1.0, f64::INFINITY][(0..2).filter(|&end| self.stands(d, end)).count()]
     }
 }
 
@@ -220,10 +228,9 @@ impl Ring {
     }
 }
 
-/// The heights of the lowest and the highest point of a ball along a direction, or those of sides on which it stands.
-fn ball_ends<S: Scalar>(standing: &Standing, d: usize, s: &[S]) -> [S; 2] {
-    let of = |end: usize, own: S| standing.sides[d][end].map_or(own, S::of);
-    [of(0, s[d] - s[3]), of(1, s[d] + s[3])]
+/// The heights of the lowest and the highest point of a ball along a direction.
+fn ball_ends<S: Scalar>(d: usize, s: &[S]) -> [S; 2] {
+    [s[d] - s[3], s[d] + s[3]]
 }
 
 /// The area that a line from a centre to a point of an outline sweeps twice, by the parameter.
@@ -244,8 +251,7 @@ impl Column {
 
     /// Where what is in the region begins and ends.
     fn ends<S: Scalar>(&self, s: &[S]) -> [S; 2] {
-        let (all, sides) = (self.all(s), self.standing.sides[self.axis]);
-        [0, 1].map(|end| sides[end].map_or(all[end], S::of))
+        self.standing.ends(self.axis, self.all(s))
     }
 
     /// Points of the outline that is moved outwards.
@@ -337,27 +343,23 @@ impl Surface {
     pub fn size(&self) -> f64 {
         match &self.form {
             Form::Ball(standing) => {
-                let length = |d: usize| {
-                    let [low, high] = ball_ends(standing, d, &self.numbers);
-                    (high - low) * standing.half(d)
-                };
+                let length = |d: usize| standing.half_length(d, ball_ends(d, &self.numbers));
                 standing.axes().map(length).fold(self.numbers[3], f64::min)
             }
             Form::Box(standing) => {
-                let corners = standing.corners(&self.numbers);
-                (0..3).map(|d| (corners[3 + d] - corners[d]) * standing.half(d)).fold(f64::MAX, f64::min)
+                let length = |d: usize| standing.half_length(d, [self.numbers[d], self.numbers[3 + d]]);
+                (0..3).map(length).fold(f64::MAX, f64::min)
             }
             Form::Column(column) => {
-                let ([low, high], half) = (column.ends(&self.numbers), column.standing.half(column.axis));
-                let along = if column.has_ends { (high - low) * half } else { f64::INFINITY };
+                let along = match column.has_ends {
+                    true => column.standing.half_length(column.axis, column.all(&self.numbers)),
+                    false => f64::INFINITY,
+                };
                 (0.5 * column.polygon.area()).sqrt().min(along)
             }
             Form::Facets(facets, standing) => {
                 let [low, high] = facets_corners(facets, &self.numbers);
-                let length = |d: usize| {
-                    let [of_low, of_high] = standing.sides[d];
-                    (of_high.unwrap_or(high[d]) - of_low.unwrap_or(low[d])) * standing.half(d)
-                };
+                let length = |d: usize| standing.half_length(d, [low[d], high[d]]);
                 standing.axes().map(length).fold(self.numbers[3] * facets.half_width, f64::min)
             }
         }
@@ -458,7 +460,7 @@ impl Surface {
         let end = |end: usize| standing.sides[axis][end].map_or(PI * end as f64, angle_at);
         let (first, all) = (end(0), end(1) - end(0));
         let (rows, step) = standing.rows(axis, all * r, spacing, distance > 0.0);
-        let [low, high] = ball_ends(standing, axis, &self.numbers);
+        let [low, high] = standing.ends(axis, ball_ends(axis, &self.numbers));
         let height = |angle: f64| (centre - r * angle.cos() - low) / (high - low);
         let ring_at = |at: f64| {
             let (angle, half) = (first + all * at, 0.5 * all * step);
@@ -523,7 +525,7 @@ impl Surface {
             }
             (Spot::Zone { at, around, share }, Form::Ball(standing)) => {
                 let axis = standing.axes().next().unwrap_or(2);
-                let ([a, b], [low, high], r) = (across(axis), ball_ends(standing, axis, s), s[3]);
+                let ([a, b], [low, high], r) = (across(axis), standing.ends(axis, ball_ends(axis, s)), s[3]);
                 let height = low + (high - low) * S::of(at) - s[axis];
                 let out = (r * r - height * height).sqrt();
                 let mut away = [height; 3];
